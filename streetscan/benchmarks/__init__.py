@@ -1,0 +1,1 @@
+"""The benchmark tables of the papers, theirs beside ours."""

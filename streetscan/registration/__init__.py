@@ -1,0 +1,1 @@
+"""Registration of rotating-lidar frames (Józsa & Benedek 2013)."""

@@ -1,0 +1,1 @@
+"""Reference methods of the segmentation tables, one module each."""

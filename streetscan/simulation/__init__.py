@@ -1,0 +1,1 @@
+"""Simulated cities and drives, with their truth."""

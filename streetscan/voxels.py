@@ -1,0 +1,137 @@
+"""The sparse voxel grid: only voxels that hold a point exist.
+
+Source: Nagy (2020), 2.4.1. Voxel of a point: `floor((p - origin) / size)`, one origin per map. Keys are packed into one
+int64 so that sorting and searching are single-array operations.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from streetscan.errors import BadInput
+from streetscan.io.atomic import atomic_path
+
+# 21 bits an axis: at 0.1 m a map of 209 km by 209 km by 209 km.
+_BITS = 21
+_HALF = 1 << (_BITS - 1)
+
+
+def pack_keys(keys: np.ndarray) -> np.ndarray:
+    """(V, 3) integer voxel keys to (V,) int64 that sort like (x, y, z). ValueError beyond +-2^20."""
+    keys = np.asarray(keys, np.int64)
+    if keys.size and (keys.min() < -_HALF or keys.max() >= _HALF):
+        raise ValueError("voxel keys beyond 2^20; subtract an origin near the data")
+    shifted = keys + _HALF
+    return (shifted[..., 0] << (2 * _BITS)) | (shifted[..., 1] << _BITS) | shifted[..., 2]
+
+
+def unpack_keys(packed: np.ndarray) -> np.ndarray:
+    """The inverse of `pack_keys`: (V, 3) int32."""
+    mask = (1 << _BITS) - 1
+    parts = (packed >> (2 * _BITS), (packed >> _BITS) & mask, packed & mask)
+    return (np.stack(parts, axis=-1) - _HALF).astype(np.int32)
+
+
+@dataclass
+class VoxelGrid:
+    """Occupied voxels of a map, sorted by key.
+
+    Attributes:
+        origin: (3,) float64, metres, frame `map`: the corner of voxel (0, 0, 0).
+        size_m: edge length.
+        keys: (V, 3) int32, sorted by x, y, z.
+        counts: (V,) uint32, points in the voxel (thesis channel 1, N-015).
+        mean_z_m: (V,) float64, mean height of the points, frame `map`.
+        height_m: (V,) float32, mean height above the local ground (channel 2, N-016); NaN before it is estimated.
+    """
+
+    origin: np.ndarray
+    size_m: float
+    keys: np.ndarray
+    counts: np.ndarray
+    mean_z_m: np.ndarray
+    height_m: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.keys)
+
+    @property
+    def centres(self) -> np.ndarray:
+        """(V, 3) float64 voxel centres, metres, frame `map`."""
+        return self.origin + (self.keys + 0.5) * self.size_m
+
+    def keys_of(self, points: np.ndarray) -> np.ndarray:
+        """(N, 3) int64 voxel keys of (N, 3) points in frame `map`."""
+        return np.floor((points - self.origin) / self.size_m).astype(np.int64)
+
+    def find(self, keys: np.ndarray) -> np.ndarray:
+        """(N,) int64 row of each (N, 3) key, -1 where no such voxel exists."""
+        return find_sorted(pack_keys(self.keys), pack_keys(keys))
+
+    def select(self, mask: np.ndarray) -> "VoxelGrid":
+        """The grid of the voxels a boolean mask keeps (sorted order stays)."""
+        arrays = (self.keys, self.counts, self.mean_z_m, self.height_m)
+        return VoxelGrid(self.origin, self.size_m, *(a[mask] for a in arrays))
+
+    def save(self, path: str | Path) -> None:
+        """Write as `.npz` (uncompressed)."""
+        with atomic_path(path) as partial, open(partial, "wb") as stream:
+            np.savez(stream, **vars(self))
+
+    @classmethod
+    def load(cls, path: str | Path) -> "VoxelGrid":
+        """Read what `save` wrote. BadInput when the file is something else."""
+        try:
+            with np.load(path) as data:
+                return cls(data["origin"], float(data["size_m"]), *(data[k] for k in ("keys", "counts", "mean_z_m", "height_m")))
+        except (OSError, KeyError, ValueError) as error:
+            raise BadInput(path, f"not a voxel grid ({error})", "delete it and run voxelize_map again") from error
+
+
+def find_sorted(sorted_packed: np.ndarray, packed: np.ndarray) -> np.ndarray:
+    """Row of each packed key in a sorted array of packed keys, -1 where absent."""
+    if len(sorted_packed) == 0:
+        return np.full(len(packed), -1, np.int64)
+    row = np.searchsorted(sorted_packed, packed)
+    row[row == len(sorted_packed)] = 0
+    return np.where(sorted_packed[row] == packed, row, -1)
+
+
+def voxelize(chunks: Iterable[np.ndarray], size_m: float) -> VoxelGrid:
+    """Count points and average heights per voxel; memory grows with the voxels, not with the points.
+
+    Args:
+        chunks: (n, 3) float64 arrays, metres, frame `map`; together the map.
+        size_m: voxel edge λ.
+    Returns:
+        the grid, `height_m` still NaN. The origin is the first point's position rounded down to whole kilometres
+        (height: to whole 100 m), so that grids of neighbouring parts share it.
+    Raises:
+        BadInput: λ is not above 0, or there is no point.
+    """
+    if not size_m > 0:
+        raise BadInput("voxelize_map.size_m", f"{size_m} is not above 0", "give the voxel edge in metres, such as 0.1")
+    origin, total = None, (np.empty(0, np.int64), np.empty(0, np.int64), np.empty(0))
+    for points in chunks:
+        if len(points) == 0:
+            continue
+        if origin is None:
+            steps = np.array([1000.0, 1000.0, 100.0])
+            origin = np.floor(points[0] / steps) * steps
+        packed = pack_keys(np.floor((points - origin) / size_m).astype(np.int64))
+        part = _sum_by_key(packed, np.ones(len(packed), np.int64), points[:, 2] - origin[2])
+        total = _sum_by_key(*(np.concatenate(pair) for pair in zip(total, part, strict=True)))
+    if origin is None:
+        raise BadInput("the map", "holds no point", "give a map with points")
+    packed, counts, sums = total
+    mean_z = origin[2] + sums / counts
+    return VoxelGrid(origin, size_m, unpack_keys(packed), counts.astype(np.uint32), mean_z, np.full(len(packed), np.nan, np.float32))
+
+
+def _sum_by_key(packed: np.ndarray, counts: np.ndarray, sums: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    order = np.argsort(packed, kind="stable")
+    packed = packed[order]
+    starts = np.flatnonzero(np.r_[True, packed[1:] != packed[:-1]])
+    return packed[starts], np.add.reduceat(counts[order], starts), np.add.reduceat(sums[order], starts)
