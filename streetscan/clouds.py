@@ -55,13 +55,14 @@ def concatenate(clouds: Iterable[PointCloud]) -> PointCloud:
 FLOAT32_LIMIT_M = 16_384.0
 
 
-def check_points(points: np.ndarray, where: object, stored_as_float32: bool = False) -> None:
+def check_points(points: np.ndarray, where: object, stored_as_float32: bool = False, first: int = 0) -> None:
     """Refuse coordinates no step can work with.
 
     Args:
         points: (N, 3), metres.
         where: the file they came from, named in the error.
         stored_as_float32: the file held 32-bit coordinates.
+        first: index in the file of the first of these points, when they are one chunk of many.
     Raises:
         BadInput: no point; NaN or infinite coordinates; 32-bit coordinates so large that millimetres are lost.
     """
@@ -69,10 +70,8 @@ def check_points(points: np.ndarray, where: object, stored_as_float32: bool = Fa
         raise BadInput(where, "holds no point", "give a file with points or remove it from the data set's file")
     finite = np.isfinite(points).all(axis=1)
     if not finite.all():
-        first = int(np.argmin(finite))
-        raise BadInput(
-            where, f"{int((~finite).sum())} points have NaN or infinite coordinates (first: point {first})", "remove those points"
-        )
+        n_bad, first_bad = int((~finite).sum()), first + int(np.argmin(finite))
+        raise BadInput(where, f"{n_bad} points have NaN or infinite coordinates (first: point {first_bad})", "remove those points")
     largest = float(np.abs(points[:, :2]).max())
     if stored_as_float32 and largest >= FLOAT32_LIMIT_M:
         step = float(np.spacing(np.float32(largest)))

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from streetscan.errors import BadInput
-from streetscan.io.atomic import atomic_path
+from streetscan.io.arrays import load_npz, save_npz
 
 # 21 bits an axis: at 0.1 m a map of 209 km by 209 km by 209 km.
 _BITS = 21
@@ -64,7 +64,7 @@ class VoxelGrid:
 
     def keys_of(self, points: np.ndarray) -> np.ndarray:
         """(N, 3) int64 voxel keys of (N, 3) points in frame `map`."""
-        return np.floor((points - self.origin) / self.size_m).astype(np.int64)
+        return _keys_of(points, self.origin, self.size_m)
 
     def find(self, keys: np.ndarray) -> np.ndarray:
         """(N,) int64 row of each (N, 3) key, -1 where no such voxel exists."""
@@ -77,17 +77,13 @@ class VoxelGrid:
 
     def save(self, path: str | Path) -> None:
         """Write as `.npz` (uncompressed)."""
-        with atomic_path(path) as partial, open(partial, "wb") as stream:
-            np.savez(stream, **vars(self))
+        save_npz(path, **vars(self))
 
     @classmethod
     def load(cls, path: str | Path) -> "VoxelGrid":
         """Read what `save` wrote. BadInput when the file is something else."""
-        try:
-            with np.load(path) as data:
-                return cls(data["origin"], float(data["size_m"]), *(data[k] for k in ("keys", "counts", "mean_z_m", "height_m")))
-        except (OSError, KeyError, ValueError) as error:
-            raise BadInput(path, f"not a voxel grid ({error})", "delete it and run voxelize_map again") from error
+        origin, size_m, *arrays = load_npz(path, ("origin", "size_m", "keys", "counts", "mean_z_m", "height_m"), "voxelize_map")
+        return cls(origin, float(size_m), *arrays)
 
 
 def find_sorted(sorted_packed: np.ndarray, packed: np.ndarray) -> np.ndarray:
@@ -99,35 +95,49 @@ def find_sorted(sorted_packed: np.ndarray, packed: np.ndarray) -> np.ndarray:
     return np.where(sorted_packed[row] == packed, row, -1)
 
 
-def voxelize(chunks: Iterable[np.ndarray], size_m: float) -> VoxelGrid:
+def voxelize(chunks: Iterable[np.ndarray], size_m: float, origin: np.ndarray | None = None) -> VoxelGrid:
     """Count points and average heights per voxel; memory grows with the voxels, not with the points.
 
     Args:
         chunks: (n, 3) float64 arrays, metres, frame `map`; together the map.
         size_m: voxel edge λ.
+        origin: (3,) corner of voxel (0, 0, 0); by default the first point's position rounded down to whole kilometres
+            (height: to whole 100 m), so that grids of neighbouring parts share it.
     Returns:
-        the grid, `height_m` still NaN. The origin is the first point's position rounded down to whole kilometres
-        (height: to whole 100 m), so that grids of neighbouring parts share it.
+        the grid, `height_m` still NaN.
     Raises:
         BadInput: λ is not above 0, or there is no point.
     """
     if not size_m > 0:
         raise BadInput("voxelize_map.size_m", f"{size_m} is not above 0", "give the voxel edge in metres, such as 0.1")
-    origin, total = None, (np.empty(0, np.int64), np.empty(0, np.int64), np.empty(0))
+    total = np.empty(0, np.int64), np.empty(0, np.int64), np.empty(0)
+    parts: list[tuple[np.ndarray, ...]] = []
     for points in chunks:
         if len(points) == 0:
             continue
         if origin is None:
             steps = np.array([1000.0, 1000.0, 100.0])
             origin = np.floor(points[0] / steps) * steps
-        packed = pack_keys(np.floor((points - origin) / size_m).astype(np.int64))
-        part = _sum_by_key(packed, np.ones(len(packed), np.int64), points[:, 2] - origin[2])
-        total = _sum_by_key(*(np.concatenate(pair) for pair in zip(total, part, strict=True)))
+        packed = pack_keys(_keys_of(points, origin, size_m))
+        parts.append(_sum_by_key(packed, np.ones(len(packed), np.int64), points[:, 2] - origin[2]))
+        # Merging only when the parts outweigh the total keeps the sum of all merges proportional to the voxels.
+        if sum(len(part[0]) for part in parts) > len(total[0]):
+            total, parts = _merge([total, *parts]), []
     if origin is None:
         raise BadInput("the map", "holds no point", "give a map with points")
-    packed, counts, sums = total
+    packed, counts, sums = _merge([total, *parts])
     mean_z = origin[2] + sums / counts
     return VoxelGrid(origin, size_m, unpack_keys(packed), counts.astype(np.uint32), mean_z, np.full(len(packed), np.nan, np.float32))
+
+
+def _keys_of(points: np.ndarray, origin: np.ndarray, size_m: float) -> np.ndarray:
+    # Maps come in whole millimetres, so that many points lie on a face between voxels. The millionth of a voxel gives
+    # them all to the upper one; without it the last bit decides, and the same point read from two files could differ.
+    return np.floor((points - origin) / size_m + 1e-6).astype(np.int64)
+
+
+def _merge(parts: list[tuple[np.ndarray, ...]]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    return _sum_by_key(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
 
 def _sum_by_key(packed: np.ndarray, counts: np.ndarray, sums: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

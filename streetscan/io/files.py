@@ -1,0 +1,45 @@
+"""Small files, as they are or xz-compressed."""
+
+import lzma
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from streetscan.errors import BadInput
+
+
+def find_file(path: str | Path) -> Path:
+    """The file, or the same name with `.xz` where only that exists. BadInput when neither does."""
+    path = Path(path)
+    for candidate in (path, path.with_name(path.name + ".xz")):
+        if candidate.is_file():
+            return candidate
+    raise BadInput(path, "no such file", "check the drive's file and data_root")
+
+
+def read_bytes(path: str | Path) -> bytes:
+    """The contents, decompressed when the name ends in `.xz`. BadInput when the file cannot be read or decompressed."""
+    path = Path(path)
+    try:
+        data = path.read_bytes()
+        return lzma.decompress(data) if path.suffix == ".xz" else data
+    except (OSError, lzma.LZMAError, EOFError) as error:
+        raise BadInput(path, f"cannot be read ({error})", "copy it again") from error
+
+
+def read_text(path: str | Path) -> str:
+    """The contents of a UTF-8 text file, found by `find_file`. BadInput when it is missing or no text."""
+    path = find_file(path)
+    try:
+        return read_bytes(path).decode()
+    except UnicodeDecodeError as error:
+        raise BadInput(path, "is no text file", "copy or export it again") from error
+
+
+def read_yaml(path: str | Path) -> Any:
+    """The contents of a YAML file. BadInput when it is missing or no YAML."""
+    try:
+        return yaml.safe_load(read_text(path))
+    except yaml.YAMLError as error:
+        raise BadInput(path, f"is no YAML ({' '.join(str(error).split())})", "correct the file") from error
