@@ -1,0 +1,194 @@
+"""One self-contained HTML page per drive: its numbers, tracks, time line, frames as pictures, images, lidar in the image."""
+
+import base64
+import html
+import io
+from pathlib import Path
+
+import matplotlib
+
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt
+import numpy as np
+
+from streetscan.frames import STATUSES, LidarFrame
+from streetscan.inspection import Inspection, fix_track_m, project_points
+from streetscan.io.atomic import atomic_path
+from streetscan.io.images import decode_image
+
+_STATUS_COLOURS = dict(zip(STATUSES, ("#2a7f3f", "#8c8c8c", "#d9a400", "#c0392b", "#8e44ad", "#1f1f1f", "#1f6fb2", "#e67e22"), strict=True))
+# ASSUME: what a street map is about lies within 40 m of the sensor.
+_VIEW_M = 40.0
+_STYLE = """
+body{font:15px/1.45 system-ui,sans-serif;color:#222;max-width:1080px;margin:2em auto;padding:0 1em}
+h1{font-size:1.5em;margin-bottom:.1em} h2{font-size:1.1em;margin:1.6em 0 .4em;border-bottom:1px solid #ccc}
+table{border-collapse:collapse} td{padding:.15em .9em .15em 0;vertical-align:top} td:first-child{color:#666;white-space:nowrap}
+img{max-width:100%} figure{margin:.6em 0} figcaption{color:#555;font-size:.9em}
+"""
+
+
+def write_drive_sheet(path: str | Path, name: str, description: str, source: str, inspection: Inspection) -> None:
+    """Write the page of a drive.
+
+    Args:
+        path: the HTML file; pictures are inside it.
+        name, description, source: of the drive's file.
+        inspection: what to show.
+    """
+    parts = [f"<h1>{html.escape(name)}</h1><p>{html.escape(description)}<br><small>{html.escape(source)}</small></p>", _numbers(inspection)]
+    parts.append(
+        "<h2>Tracks</h2>" + _figure(_tracks(inspection), "Where the drive went: GPS fixes, and the true positions where they are known.")
+    )
+    parts.append(
+        "<h2>Time line</h2>" + _figure(_time_line(inspection), "Points of each frame over time; colours are statuses, bands are gaps.")
+    )
+    parts.append(
+        "<h2>Frames</h2>"
+        + _figure(_frames(inspection), f"Lidar frames from above, {_VIEW_M:.0f} m to each side, coloured by height; forward is up.")
+    )
+    if inspection.images:
+        parts.append("<h2>Images</h2>" + _images(inspection))
+    page = f'<!doctype html><html lang="en"><head><meta charset="utf-8"><title>{html.escape(name)}</title><style>{_STYLE}</style></head>'
+    with atomic_path(path) as partial:
+        partial.write_text(f"{page}<body>{''.join(parts)}</body></html>\n", encoding="utf-8")
+
+
+def _numbers(inspection: Inspection) -> str:
+    rows = "".join(f"<tr><td>{html.escape(k)}</td><td>{html.escape(v)}</td></tr>" for k, v in inspection.numbers().items())
+    statuses = [s for s in inspection.frames["status"].unique() if s != "ok"]
+    notes = "".join(f"<li><b>{s}</b>: {STATUSES.get(s, s)}</li>" for s in statuses)
+    return f"<table>{rows}</table>" + (f"<ul>{notes}</ul>" if notes else "")
+
+
+def _tracks(inspection: Inspection) -> plt.Figure | None:
+    fixes = fix_track_m(inspection.fixes)
+    positions = None if inspection.poses is None else inspection.poses[np.isfinite(inspection.poses).all(axis=(1, 2)), :3, 3]
+    has_poses = positions is not None and len(positions) > 0
+    if not len(fixes) and not has_poses:
+        return None
+    figure, axes = plt.subplots(1, int(len(fixes) > 0) + int(has_poses), figsize=(10, 4.2), squeeze=False, layout="constrained")
+    panels = iter(axes[0])
+    if len(fixes):
+        axis = next(panels)
+        axis.plot(*fixes.T, "-", color="#999", lw=1)
+        inside = _during(inspection, inspection.fixes["time_s"].to_numpy())
+        axis.plot(*fixes[~inside].T, ".", color="#bbb", ms=3)
+        axis.plot(*fixes[inside].T, ".", color="#1f6fb2", ms=4, label="while the lidar ran")
+        axis.plot(*fixes[0], "o", color="#2a7f3f", label="start")
+        axis.set(title=f"GPS, {len(fixes)} fixes", xlabel="east [m]", ylabel="north [m]")
+        axis.legend(fontsize=8)
+    if has_poses:
+        axis = next(panels)
+        local = positions - positions[0]
+        axis.plot(local[:, 0], local[:, 1], ".-", color="#c0392b", ms=3, lw=1)
+        axis.plot(*local[0, :2], "o", color="#2a7f3f", label="start")
+        axis.set(title=f"truth, {len(positions)} poses", xlabel="x of the map from the start [m]", ylabel="y [m]")
+        axis.legend(fontsize=8)
+    for axis in axes[0]:
+        axis.set_aspect("equal", adjustable="datalim")
+        axis.grid(alpha=0.3)
+    return figure
+
+
+def _during(inspection: Inspection, times_s: np.ndarray) -> np.ndarray:
+    frames = inspection.frames["time_s"]
+    return (times_s >= frames.min() - 0.1) & (times_s <= frames.max() + 0.1)
+
+
+def _time_line(inspection: Inspection) -> plt.Figure:
+    frames = inspection.frames
+    start = frames["time_s"].min()
+    figure, (axis, lower) = plt.subplots(2, 1, figsize=(10, 3.8), sharex=True, height_ratios=(4, 1), layout="constrained")
+    for status, group in frames.groupby("status"):
+        axis.plot(
+            group["time_s"] - start, group["n_points"], ".", ms=4, color=_STATUS_COLOURS.get(status, "k"), label=f"{status} ({len(group)})"
+        )
+    axis.set(ylabel="points per frame", ylim=(0, 1.1 * max(frames["n_points"].max(), 1)))
+    axis.legend(fontsize=8, ncols=4, loc="lower left")
+    axis.grid(alpha=0.3)
+    for gap in inspection.gaps.itertuples():
+        for a in (axis, lower):
+            a.axvspan(gap.start_s - start, gap.start_s - start + gap.duration_s, color="#c0392b", alpha=0.18, lw=0)
+    rows = [("lidar", frames["time_s"])]
+    image_times = frames.loc[frames["image_status"] == "ok", "image_time_s"]
+    if len(image_times):
+        rows.append(("image", image_times))
+    if len(inspection.fixes):
+        rows.append(("gps", inspection.fixes["time_s"]))
+    for i, (_, times) in enumerate(rows):
+        lower.plot(times - start, np.full(len(times), i), "|", color="#333", ms=9)
+    lower.set(
+        yticks=range(len(rows)),
+        yticklabels=[name for name, _ in rows],
+        ylim=(-0.6, len(rows) - 0.4),
+        xlabel="time since the first frame [s]",
+    )
+    return figure
+
+
+def _frames(inspection: Inspection) -> plt.Figure | None:
+    if not inspection.pictured:
+        return None
+    figure, axes = plt.subplots(
+        1, len(inspection.pictured), figsize=(3.6 * len(inspection.pictured), 3.9), squeeze=False, layout="constrained"
+    )
+    for axis, (row, frame) in zip(axes[0], inspection.pictured.items(), strict=True):
+        drawn = _draw_from_above(axis, frame)
+        axis.set_title(f"frame {row}: {len(frame)} points", fontsize=9)
+    figure.colorbar(drawn, ax=axes[0], label="height over the sensor [m]", shrink=0.8)
+    return figure
+
+
+def _draw_from_above(axis: plt.Axes, frame: LidarFrame):
+    near = frame.points[(np.abs(frame.points[:, :2]) < _VIEW_M).all(axis=1)]
+    drawn = axis.scatter(-near[:, 1], near[:, 0], s=0.15, c=near[:, 2], cmap="viridis", vmin=-2.5, vmax=4, linewidths=0, rasterized=True)
+    axis.plot(0, 0, "^", color="#c0392b", ms=6)
+    axis.set(xlim=(-_VIEW_M, _VIEW_M), ylim=(-_VIEW_M, _VIEW_M), aspect="equal", facecolor="#f4f4f4")
+    axis.tick_params(labelsize=7)
+    return drawn
+
+
+def _images(inspection: Inspection) -> str:
+    parts = []
+    model, T = inspection.camera_model, inspection.T_camera_lidar
+    if T is None:
+        T = _mounted_camera(inspection)
+    for row, image in inspection.images.items():
+        pixels = decode_image(image)
+        gap_ms = (image.time_ns * 1e-9 - inspection.frames["time_s"].iloc[row]) * 1e3
+        caption = f"Image nearest to frame {row} ({gap_ms:+.1f} ms)"
+        figure, axis = plt.subplots(figsize=(10, 10 * pixels.shape[0] / pixels.shape[1]), layout="constrained")
+        axis.imshow(pixels)
+        if model is not None and T is not None:
+            uv, depths = project_points(inspection.pictured[row].points, T, model)
+            scale = pixels.shape[1] / model.width
+            axis.scatter(
+                *(uv * scale).T, s=2.0 if pixels.shape[1] > 800 else 3.0, c=depths, cmap="turbo_r", vmin=0, vmax=50, linewidths=0, alpha=0.8
+            )
+            caption += f", {len(uv)} lidar points in it, coloured by depth (red near, blue 50 m)"
+        axis.set_axis_off()
+        axis.set(xlim=(-0.5, pixels.shape[1] - 0.5), ylim=(pixels.shape[0] - 0.5, -0.5))
+        parts.append(_figure(figure, caption + "."))
+    return "".join(parts)
+
+
+def _mounted_camera(inspection: Inspection) -> np.ndarray | None:
+    """T_camera_lidar where the user's own mountings tell it."""
+    known = {(m.parent, m.child): m.T_parent_child for m in inspection.mountings}
+    if ("lidar", "camera") in known:
+        return np.linalg.inv(known["lidar", "camera"])
+    if ("camera", "lidar") in known:
+        return known["camera", "lidar"]
+    if ("vehicle", "camera") in known and ("vehicle", "lidar") in known:
+        return np.linalg.inv(known["vehicle", "camera"]) @ known["vehicle", "lidar"]
+    return None
+
+
+def _figure(figure: plt.Figure | None, caption: str) -> str:
+    if figure is None:
+        return "<p>Nothing to show: the drive has none.</p>"
+    stream = io.BytesIO()
+    figure.savefig(stream, format="png", dpi=110)
+    plt.close(figure)
+    data, text = base64.b64encode(stream.getvalue()).decode(), html.escape(caption)
+    return f'<figure><img alt="{text}" src="data:image/png;base64,{data}"><figcaption>{text}</figcaption></figure>'

@@ -1,0 +1,143 @@
+"""What a drive consists of: lidar frames, images, GPS fixes, the camera's model and the mountings a user gave.
+
+Times are whole nanoseconds since the Unix epoch (`time_ns`), because a float64 of seconds steps by 0.24 microseconds today.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+# What can be the matter with a frame. The frame keeps its row whatever its status is.
+STATUSES = {
+    "ok": "whole and in order",
+    "empty": "the sensor's record is there and holds no point",
+    "partial": "the revolution is not complete",
+    "truncated": "the record ends too early",
+    "unreadable": "the record cannot be decoded",
+    "missing": "the numbering or the list of times has the frame, no record exists",
+    "time_backwards": "its stamp is not later than the stamp of the frame before",
+    "labels_do_not_fit": "the number of true labels differs from the number of points",
+}
+
+
+# ASSUME: a revolution that lacks more than 3 % of its azimuths is not complete; cuts between packets are 0.5 degrees apart.
+LEAST_COVERED = 0.97
+
+
+class BadRecord(Exception):
+    """One record of a recording is unusable; its frame stays, with this status (a key of STATUSES)."""
+
+    def __init__(self, status: str, reason: str):
+        super().__init__(reason)
+        self.status = status
+
+
+def nanoseconds(time_s: float) -> int:
+    """Seconds as whole nanoseconds, rounded to the microsecond a float64 of Unix seconds can hold."""
+    return round(float(time_s) * 1e6) * 1000
+
+
+@dataclass
+class LidarFrame:
+    """One revolution of the lidar.
+
+    Attributes:
+        time_ns: the firing at azimuth 0 (forward).
+        points: (N, 3) float32, metres, frame `lidar` at each point's own firing.
+        intensity: (N,) float32, 1 is the source's largest value, or None.
+        ring: (N,) uint16, the beam, or None.
+        time_offset_s: (N,) float32, the point's firing minus the stamp, or None when not known.
+            0 throughout when the recording was de-skewed: all coordinates then hold at the stamp.
+        status: a key of STATUSES.
+        number: the frame's number in the recording: in its file's name, or the count of messages or revolutions.
+        source: the file it comes from, or empty.
+        n_dropped: returns without finite coordinates, left out.
+        labels: (N,) uint32 true labels in the source's own ids, or None; they never go into the drive's file.
+    """
+
+    time_ns: int
+    points: np.ndarray
+    intensity: np.ndarray | None = None
+    ring: np.ndarray | None = None
+    time_offset_s: np.ndarray | None = None
+    status: str = "ok"
+    number: int = 0
+    source: str = ""
+    n_dropped: int = 0
+    labels: np.ndarray | None = None
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+
+@dataclass
+class CameraImage:
+    """One compressed image; `time_ns` is the middle of its exposure, `format` is `png` or `jpeg`, status ok, missing or unreadable."""
+
+    time_ns: int
+    data: bytes
+    format: str
+    status: str = "ok"
+    source: str = ""
+
+
+@dataclass
+class GpsFix:
+    """One position, WGS 84 degrees and metres; covariance_m2 (3, 3) of east, north, up, or None. NaN altitude: not measured."""
+
+    time_ns: int
+    latitude_deg: float
+    longitude_deg: float
+    altitude_m: float
+    covariance_m2: np.ndarray | None = None
+
+
+@dataclass
+class CameraModel:
+    """Intrinsics of the camera, pixel centres at integers.
+
+    Attributes:
+        width, height: pixels.
+        K: (3, 3) float64.
+        D: distortion coefficients of `distortion_model` (`plumb_bob`, `rational_polynomial`, `kannala_brandt`; empty without distortion).
+        P: (3, 4) float64, projection of the rectified image.
+    """
+
+    width: int
+    height: int
+    K: np.ndarray
+    D: np.ndarray
+    distortion_model: str
+    P: np.ndarray
+
+
+@dataclass
+class Mounting:
+    """Where a sensor sits on the vehicle, as the user measured it: T_parent_child (4, 4)."""
+
+    parent: str
+    child: str
+    T_parent_child: np.ndarray
+    source: str = ""
+
+
+def empty_frame(time_ns: int, status: str, number: int, source: str = "") -> LidarFrame:
+    """A frame without points, for a record that is missing or cannot be read."""
+    return LidarFrame(time_ns, np.empty((0, 3), np.float32), status=status, number=number, source=source)
+
+
+def drop_non_finite(frame: LidarFrame) -> LidarFrame:
+    """The frame without the points that have NaN or infinite coordinates, counted in `n_dropped`; `empty` when none is left."""
+    # A sum sees every NaN and infinity, and as a product it is twenty times as fast as a look at each coordinate.
+    with np.errstate(all="ignore"):
+        is_clean = bool(np.isfinite(np.ones(len(frame), np.float32) @ frame.points).all())
+    if not is_clean:
+        kept = np.isfinite(frame.points).all(axis=1)
+        frame.n_dropped += int((~kept).sum())
+        frame.points = frame.points[kept]
+        for name in ("intensity", "ring", "time_offset_s", "labels"):
+            if (values := getattr(frame, name)) is not None:
+                setattr(frame, name, values[kept])
+    if len(frame) == 0 and frame.status == "ok":
+        frame.status = "empty"
+    return frame

@@ -1,0 +1,211 @@
+"""What an imported drive holds, in numbers: counts, gaps, rates, tracks; and lidar points in an image."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pandas as pd
+
+from streetscan import geometry
+from streetscan.errors import BadInput
+from streetscan.frames import CameraImage, CameraModel, GpsFix, LidarFrame, Mounting
+from streetscan.io.files import find_file, read_yaml
+from streetscan.io.mcap import iterate_drive
+from streetscan.io.trajectories import read_poses_csv
+
+# ASSUME: a pause of more than one and a half frames is a gap; jitter of a spinning lidar stays below a tenth.
+_GAP_FACTOR = 1.5
+_EARTH_M = 6_371_000.0
+
+
+@dataclass
+class Inspection:
+    """One drive in numbers.
+
+    Attributes:
+        frames: frames.csv, one row per lidar frame.
+        fixes: table time_s, latitude_deg, longitude_deg, altitude_m.
+        poses: (n, 4, 4) true poses in their map, NaN where unknown, or None.
+        camera_model: intrinsics or None.
+        mountings: what the user gave.
+        T_camera_lidar: true place of the camera, or None.
+        labels_ids: whose label ids the truth has, or None.
+        pictured: a few whole lidar frames, evenly spread, by their row.
+        images: the image nearest to each of them, where there is one.
+    """
+
+    frames: pd.DataFrame
+    fixes: pd.DataFrame
+    poses: np.ndarray | None
+    camera_model: CameraModel | None
+    mountings: list[Mounting]
+    T_camera_lidar: np.ndarray | None
+    labels_ids: str | None
+    pictured: dict[int, LidarFrame]
+    images: dict[int, CameraImage]
+
+    @property
+    def gaps(self) -> pd.DataFrame:
+        """Pauses between frames: columns after (row), start_s, duration_s."""
+        times = self.frames["time_s"].to_numpy(np.float64)
+        steps = np.diff(times)
+        usual = float(np.median(steps)) if len(steps) else np.nan
+        rows = np.flatnonzero(steps > _GAP_FACTOR * usual)
+        return pd.DataFrame({"after": rows, "start_s": times[rows], "duration_s": steps[rows]})
+
+    def numbers(self) -> dict[str, str]:
+        """The numbers a reader wants first, as text with units."""
+        frames = self.frames
+        times = frames["time_s"].to_numpy(np.float64)
+        good = frames["status"].isin(["ok", "partial", "time_backwards"])
+        n_points = frames.loc[good, "n_points"]
+        steps = np.diff(times)
+        numbers = {"frames": f"{len(frames)} ({_counts(frames['status'])})"}
+        numbers["duration"] = f"{times.max() - times.min():.3f} s from {_date(times.min())}"
+        numbers["rate"] = f"{1 / np.median(steps):.3f} Hz" if len(steps) and np.median(steps) > 0 else "one frame"
+        gaps = self.gaps
+        numbers["gaps"] = f"{len(gaps)}, longest {gaps['duration_s'].max():.3f} s" if len(gaps) else "none"
+        numbers["points per frame"] = f"{n_points.min()} / {n_points.median():.0f} / {n_points.max()} (least, median, most)"
+        numbers["points in all"] = f"{frames['n_points'].sum():,}"
+        numbers["returns without coordinates"] = str(frames["n_dropped"].sum())
+        offsets = frames[["first_offset_s", "last_offset_s"]].median()
+        is_de_skewed = (offsets == 0).all()
+        numbers["firing times"] = (
+            "0: the source is de-skewed" if is_de_skewed else f"{offsets.iloc[0]:.4f} to {offsets.iloc[1]:.4f} s about forward (median)"
+        )
+        numbers["images"] = _counts(frames["image_status"])
+        numbers["fixes"] = str(len(self.fixes)) if len(self.fixes) else "none: there is no /gps"
+        if len(self.fixes) > 1:
+            numbers["GPS track"] = f"{path_length_m(fix_track_m(self.fixes)):.1f} m"
+        if self.poses is not None:
+            positions = self.poses[:, :3, 3]
+            known = np.isfinite(positions).all(axis=1)
+            numbers["true track"] = f"{path_length_m(positions[known]):.1f} m, {int(known.sum())} of {len(known)} poses known"
+        numbers["true labels"] = self.labels_ids or "none"
+        for mounting in self.mountings:
+            x, y, z = mounting.T_parent_child[:3, 3]
+            roll, pitch, yaw = np.degrees(geometry.rpy_of_transform(mounting.T_parent_child))
+            numbers[f"{mounting.child} in {mounting.parent}"] = f"{x:.3f}, {y:.3f}, {z:.3f} m; {roll:.2f}, {pitch:.2f}, {yaw:.2f} deg"
+        if self.camera_model is not None:
+            K = self.camera_model.K
+            numbers["camera"] = (
+                f"{self.camera_model.width} x {self.camera_model.height}, f {K[0, 0]:.1f}, {K[1, 1]:.1f}, "
+                f"centre {K[0, 2]:.1f}, {K[1, 2]:.1f} px, {'distorted' if np.any(self.camera_model.D) else 'no distortion'}"
+            )
+        return numbers
+
+
+def inspect_drive(mcap_path: str | Path, frames_path: str | Path, truth_folder: str | Path | None, n_pictured: int = 3) -> Inspection:
+    """Look through a drive once, streaming; only the pictured frames and images stay in memory.
+
+    Args:
+        mcap_path, frames_path: drive.mcap and frames.csv.
+        truth_folder: truth/, or None.
+        n_pictured: frames to keep.
+    Raises:
+        BadInput: the drive is damaged, or its table has another number of frames.
+    """
+    frames = _read_frames(frames_path)
+    rows = _pictured_rows(frames, n_pictured)
+    pictured, images, fixes, mountings, model = {}, {}, [], [], None
+    nearest_ns = dict.fromkeys(rows, 2**62)
+    stamps = {row: round(frames["time_s"].iloc[row] * 1e9) for row in rows}
+    row = 0
+    for record in iterate_drive(mcap_path):
+        match record:
+            case LidarFrame():
+                if row in stamps:
+                    pictured[row] = record
+                row += 1
+            case CameraImage():
+                for wanted, stamp in stamps.items():
+                    if (gap := abs(record.time_ns - stamp)) < nearest_ns[wanted]:
+                        nearest_ns[wanted], images[wanted] = gap, record
+            case GpsFix():
+                fixes.append([record.time_ns * 1e-9, record.latitude_deg, record.longitude_deg, record.altitude_m])
+            case Mounting():
+                mountings.append(record)
+            case CameraModel():
+                model = record
+    if row != len(frames):
+        raise BadInput(frames_path, f"has {len(frames)} rows for {row} frames of {mcap_path}", "import the drive again")
+    truth = read_yaml(Path(truth_folder) / "truth.yaml") if truth_folder is not None else {}
+    poses = read_poses_csv(Path(truth_folder) / "poses.csv")[2] if truth.get("poses") else None
+    extrinsics = truth.get("extrinsics")
+    return Inspection(
+        frames,
+        pd.DataFrame(fixes, columns=["time_s", "latitude_deg", "longitude_deg", "altitude_m"]),
+        poses,
+        model,
+        mountings,
+        None if extrinsics is None else np.array(extrinsics["T_camera_lidar"]),
+        (truth.get("labels") or {}).get("ids"),
+        pictured,
+        images,
+    )
+
+
+def project_points(points_lidar: np.ndarray, T_camera_lidar: np.ndarray, model: CameraModel) -> tuple[np.ndarray, np.ndarray]:
+    """Lidar points in an image, distortion included.
+
+    Args:
+        points_lidar: (N, 3) metres.
+        T_camera_lidar: (4, 4).
+        model: the camera.
+    Returns:
+        pixels (M, 2) float64, x right and y down, of the points ahead of the camera and inside the image, and their depths (M,) in metres.
+    """
+    points = geometry.apply(T_camera_lidar, points_lidar)
+    # Points beyond 80 degrees off the axis would be folded back into the picture by a polynomial.
+    points = points[points[:, 2] > 0.1 + 0.17 * np.linalg.norm(points[:, :2], axis=1)]
+    if not len(points):
+        return np.empty((0, 2)), np.empty(0)
+    if model.distortion_model == "kannala_brandt":
+        pixels = cv2.fisheye.distortPoints((points[:, :2] / points[:, 2:])[:, None], model.K, np.asarray(model.D, float))[:, 0]
+    else:
+        pixels = cv2.projectPoints(points, np.zeros(3), np.zeros(3), model.K, np.asarray(model.D, float))[0][:, 0]
+    inside = (pixels > -0.5).all(axis=1) & (pixels < np.array([model.width, model.height]) - 0.5).all(axis=1)
+    return pixels[inside], points[inside, 2]
+
+
+def fix_track_m(fixes: pd.DataFrame) -> np.ndarray:
+    """East and north (n, 2) in metres of fixes relative to the first, on the sphere; good to 0.5 % for a look at a street."""
+    latitude, longitude = np.radians(fixes["latitude_deg"].to_numpy()), np.radians(fixes["longitude_deg"].to_numpy())
+    if not len(latitude):
+        return np.empty((0, 2))
+    return _EARTH_M * np.stack([(longitude - longitude[0]) * np.cos(latitude[0]), latitude - latitude[0]], axis=1)
+
+
+def path_length_m(positions: np.ndarray) -> float:
+    """Length of the polyline through positions (n, d); 0 for fewer than two."""
+    return float(np.linalg.norm(np.diff(positions, axis=0), axis=1).sum())
+
+
+def _read_frames(path: str | Path) -> pd.DataFrame:
+    try:
+        frames = pd.read_csv(find_file(path))
+        frames[["time_s", "n_points", "status", "image_status"]]
+    except (KeyError, ValueError, UnicodeDecodeError) as error:
+        raise BadInput(path, f"is no table of frames ({error})", "import the drive again") from error
+    if not len(frames):
+        raise BadInput(path, "has no row", "import the drive again")
+    return frames
+
+
+def _pictured_rows(frames: pd.DataFrame, n: int) -> list[int]:
+    """Rows spread evenly over the frames that hold points, those with an image first."""
+    has_points = frames["n_points"].to_numpy() > 0
+    candidates = np.flatnonzero(has_points & (frames["image_status"] == "ok").to_numpy())
+    if len(candidates) < n:
+        candidates = np.flatnonzero(has_points)
+    chosen = candidates[np.unique(np.linspace(0, len(candidates) - 1, n).round().astype(int))] if len(candidates) else []
+    return [int(row) for row in chosen]
+
+
+def _counts(values: pd.Series) -> str:
+    return ", ".join(f"{n} {value}" for value, n in values.value_counts().items())
+
+
+def _date(time_s: float) -> str:
+    return pd.Timestamp(time_s, unit="s", tz="UTC").strftime("%Y-%m-%d %H:%M:%S UTC") if time_s > 1e6 else f"{time_s:.3f} s (no date)"

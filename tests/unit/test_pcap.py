@@ -1,0 +1,160 @@
+import struct
+
+import numpy as np
+import pytest
+import velodyne_decoder as vd
+import yaml
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from toy_recordings import PERIOD_S, START_NS, position_packet, vlp16_packets, write_pcap
+
+from streetscan.errors import BadInput
+from streetscan.frames import STATUSES, GpsFix, LidarFrame
+from streetscan.io.pcap import PacketDecoder, iterate_pcap
+
+SENTENCE = "$GPGGA,120000,4900.0000,N,00830.0000,E,1,08,0.9,120.5,M,46.9,M,,"
+
+
+def frames_of(path, model="vlp16", **settings):
+    return [r for r in iterate_pcap(path, PacketDecoder(model, **settings)) if isinstance(r, LidarFrame)]
+
+
+def test_revolutions_start_at_the_rear_and_are_stamped_forward(tmp_path):
+    frames = frames_of(write_pcap(tmp_path / "a.pcap", vlp16_packets(3)))
+    assert [f.status for f in frames] == ["ok"] * 3
+    # Cuts fall between packets, so a revolution may have one more or less.
+    assert sum(len(f) for f in frames) == 3 * 75 * 12 * 32
+    assert max(abs(len(f) - 75 * 12 * 32) for f in frames) <= 12 * 32
+    for i, frame in enumerate(frames):
+        # Packets are stamped when they are complete; forward is half a revolution after the rear.
+        assert (frame.time_ns - START_NS) * 1e-9 == pytest.approx((i + 0.5) * PERIOD_S, abs=2e-3)
+        assert frame.time_offset_s.min() == pytest.approx(-PERIOD_S / 2, abs=2e-3)
+        assert frame.time_offset_s.max() == pytest.approx(PERIOD_S / 2, abs=2e-3)
+        azimuths = np.degrees(np.arctan2(frame.points[:, 1], frame.points[:, 0]))
+        assert np.abs(azimuths[:16] - 180).max() % 360 < 5
+        forward = np.abs(azimuths) < 0.3
+        assert np.abs(frame.time_offset_s[forward]).max() < 3e-4
+        # Clockwise: the left is seen before forward.
+        assert frame.time_offset_s[(azimuths > 10) & (azimuths < 170)].max() < 0
+        np.testing.assert_allclose(np.linalg.norm(frame.points, axis=1), 10, atol=0.1)
+        assert frame.intensity[0] == np.float32(100 / 255)
+        assert frame.ring.max() == 15
+
+
+def test_incomplete_revolutions_are_partial(tmp_path):
+    frames = frames_of(write_pcap(tmp_path / "a.pcap", vlp16_packets(2.5, first_deg=90)))
+    assert [f.status for f in frames] == ["partial", "ok", "ok", "partial"]
+    assert sum(len(f) for f in frames) == round(2.5 * 75) * 12 * 32
+
+
+def test_a_sector_is_whole_when_it_was_set(tmp_path):
+    packets = [
+        p
+        for p in vlp16_packets(3)
+        if struct.unpack_from("<H", p[1], 2)[0] / 100 % 360 < 90 or struct.unpack_from("<H", p[1], 2)[0] / 100 > 270
+    ]
+    path = write_pcap(tmp_path / "a.pcap", packets)
+    assert {f.status for f in frames_of(path)} == {"partial"}
+    assert {f.status for f in frames_of(path, fov_deg=175)} == {"ok"}
+
+
+def test_a_gap_in_the_packets_is_partial(tmp_path):
+    packets = vlp16_packets(3)
+    frames = frames_of(write_pcap(tmp_path / "a.pcap", packets[:90] + packets[110:]))
+    assert [f.status for f in frames] == ["ok", "partial", "ok"]
+
+
+def test_positions_come_once_per_sentence(tmp_path):
+    packets = vlp16_packets(1)
+    mixed = (
+        [(packets[0][0], position_packet(SENTENCE))] * 2 + packets + [(packets[-1][0], position_packet(SENTENCE.replace("4900", "4800")))]
+    )
+    fixes = [r for r in iterate_pcap(write_pcap(tmp_path / "a.pcap", mixed), PacketDecoder("vlp16")) if isinstance(r, GpsFix)]
+    assert [(round(f.latitude_deg, 6), round(f.longitude_deg, 6)) for f in fixes] == [(49.0, 8.5), (48.0, 8.5)]
+    assert fixes[0].altitude_m == pytest.approx(120.5 + 46.9)
+
+
+@pytest.mark.parametrize("n_cut", [1, 500, 1200, 1247, 1255])
+def test_cut_within_a_packet(tmp_path, n_cut):
+    path = write_pcap(tmp_path / "a.pcap", vlp16_packets(2))
+    path.write_bytes(path.read_bytes()[:-n_cut])
+    assert [f.status for f in frames_of(path)] == ["ok", "truncated"]
+
+
+def test_equal_to_the_library_itself(tmp_path):
+    path = write_pcap(tmp_path / "a.pcap", vlp16_packets(2.3, first_deg=33))
+    n_library = sum(len(p) for _, p in vd.read_pcap(path, vd.Config(model=vd.Model.VLP16)))
+    assert sum(len(f) for f in frames_of(path)) == n_library > 0
+
+
+@pytest.mark.parametrize(
+    ("content", "found"),
+    [(b"", "no pcap"), (b"no capture at all", "no pcap"), ("other traffic", "no Velodyne data packet"), (None, "no such file")],
+)
+def test_what_is_no_capture_of_the_sensor(tmp_path, content, found):
+    path = tmp_path / "a.pcap"
+    if content == "other traffic":
+        write_pcap(path, [(0.0, b"x" * 100)])
+    elif content is not None:
+        path.write_bytes(content)
+    with pytest.raises(BadInput, match=found):
+        frames_of(path)
+
+
+def test_another_model_is_said(tmp_path):
+    path = write_pcap(tmp_path / "a.pcap", vlp16_packets(1))
+    with pytest.raises(BadInput, match="model"):
+        frames_of(path, "hdl32e")
+    with pytest.raises(BadInput, match="no Velodyne we know"):
+        PacketDecoder("hdl999")
+    with pytest.raises(BadInput, match="calibration"):
+        PacketDecoder("hdl64e_s3")
+
+
+def test_a_calibration_that_is_none(tmp_path):
+    (tmp_path / "unit.yaml").write_text("lasers: 3\n")
+    with pytest.raises(BadInput, match=r"unit\.yaml"):
+        PacketDecoder("hdl64e_s3", tmp_path / "unit.yaml")
+
+
+def hdl64_packet(azimuth_deg, range_m):
+    """Six firings of both blocks of a HDL-64E."""
+    data = b""
+    for i in range(12):
+        header = 0xEEFF if i % 2 == 0 else 0xDDFF
+        azimuth = round((azimuth_deg + i // 2 * 0.17) % 360 * 100) % 36000
+        data += struct.pack("<HH", header, azimuth) + struct.pack("<HB", round(range_m / 0.002), 80) * 32
+    return data + struct.pack("<IBB", 0, 0, 0)
+
+
+def test_a_units_own_calibration_is_used(tmp_path):
+    """Every beam of the made unit points 10 degrees down; the bundled tables would spread them."""
+    zeros = ("rot_correction", "dist_correction", "dist_correction_x", "dist_correction_y", "vert_offset_correction")
+    zeros += ("horiz_offset_correction", "focal_distance", "focal_slope")
+    laser = dict.fromkeys(zeros, 0.0) | {"vert_correction": -np.radians(10).item(), "min_intensity": 0, "max_intensity": 255}
+    lasers = [laser | {"laser_id": i} for i in range(64)]
+    (tmp_path / "unit.yaml").write_text(yaml.safe_dump({"lasers": lasers, "num_lasers": 64, "distance_resolution": 0.002}))
+    packets = [(START_NS * 1e-9 + i * 2.9e-4, hdl64_packet(180 + i * 6 * 0.17, 10.0)) for i in range(400)]
+    frames = frames_of(write_pcap(tmp_path / "a.pcap", packets), "hdl64e_s3", calibration=tmp_path / "unit.yaml")
+    assert frames[0].status == "ok"
+    assert set(frames[0].ring.tolist()) == set(range(64))
+    elevations = np.degrees(np.arcsin(frames[0].points[:, 2] / np.linalg.norm(frames[0].points, axis=1)))
+    np.testing.assert_allclose(elevations, -10, atol=1e-3)
+
+
+# A part of the usual number of examples: each one writes and reads files. A profile with more scales along.
+@settings(max_examples=settings.default.max_examples // 2, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.data())
+def test_damaged_captures(tmp_path, data):
+    path = write_pcap(tmp_path / "a.pcap", vlp16_packets(1.2))
+    damaged = bytearray(path.read_bytes())
+    for _ in range(data.draw(st.integers(0, 6))):
+        at = data.draw(st.one_of(st.integers(0, 200), st.integers(0, len(damaged) - 1)))
+        damaged[at] = data.draw(st.integers(0, 255))
+    path.write_bytes(damaged[: data.draw(st.integers(0, len(damaged)))])
+    try:
+        frames = frames_of(path)
+    except BadInput as error:
+        assert "a.pcap" in str(error) or "packets" in str(error)  # noqa: PT017
+    else:
+        assert all(f.status in STATUSES and np.isfinite(f.points).all() for f in frames)
