@@ -1,0 +1,52 @@
+"""Pictures of a labelled map: predicted, true and wrong labels, from above and from eye level; class shares, reliability."""
+
+import logging
+from collections.abc import Sequence
+from pathlib import Path
+
+from streetscan.benchmarks.figures import save_figure
+from streetscan.benchmarks.views import draw_statistics, draw_views
+from streetscan.io.arrays import load_npy
+from streetscan.io.label_tiles import read_label_tiles
+from streetscan.io.las import iterate_las
+from streetscan.logs import logged
+from streetscan.voxels import VoxelGrid
+
+logger = logging.getLogger("streetscan.evaluate_views")
+
+
+def main(
+    map_path: str, voxels_path: str, prediction_paths: Sequence[str], truth_path: str | None, folder: str, width_px: int, reach_m: float
+):
+    """
+    Args:
+        map_path: LAZ file of the map.
+        voxels_path: its voxel grid.
+        prediction_paths: all parts of its label map, `.npz`.
+        truth_path: the voxels' true labels, `.npy`; None for a map without truth.
+        folder: to write `{predicted,true,errors}_{top,street}.png`, `class_shares.svg` and `reliability.svg` into; without
+            truth only what needs none.
+        width_px: width of the pictures.
+        reach_m: how far the eye sees.
+    """
+    grid = VoxelGrid.load(voxels_path)
+    predicted, confidence = read_label_tiles(prediction_paths, len(grid))
+    true = load_npy(truth_path, "label_voxels") if truth_path else None
+    views = draw_views(grid, predicted, true, (cloud.points for cloud in iterate_las(map_path)), width_px, reach_m)
+    for name, figure in views.items():
+        save_figure(figure, Path(folder) / f"{name}.png")
+    for name, figure in draw_statistics(predicted, confidence, true).items():
+        save_figure(figure, Path(folder) / f"{name}.svg")
+    logger.info("%d pictures of %d voxels", len(views), len(grid))
+
+
+if __name__ == "__main__":
+    with logged(snakemake.log[0]):
+        main(
+            snakemake.input.map,
+            snakemake.input.voxels,
+            snakemake.input.predictions,
+            snakemake.input.get("truth") or None,
+            snakemake.output.folder,
+            **snakemake.params,
+        )

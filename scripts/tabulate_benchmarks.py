@@ -1,0 +1,49 @@
+"""The papers' tables with ours beside theirs, figures, and one report of the run."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import pandas as pd
+import yaml
+
+from streetscan.benchmarks import report, scores, tables
+from streetscan.logs import logged
+
+Pairs = Sequence[tuple[str, str]]
+
+
+def main(inputs: Mapping, outputs: Mapping, evaluated: Pairs, trained: Pairs, viewed: Pairs, facts: Mapping, config: Mapping):
+    """
+    Args:
+        inputs: `evaluations`, `confusions` (scores.csv and confusion.csv of evaluate_labels, one per pair in `evaluated`),
+            `histories` (history.csv of train_segmenter, one per pair in `trained`), `views` (folders of evaluate_views, one
+            per pair in `viewed`).
+        outputs: `scores`, `report` (files), `tables`, `figures` (folders).
+        evaluated, trained, viewed: (data set, model) pairs.
+        facts: data set to its facts for Table 1.2.
+        config: the resolved configuration, printed in the report; its `run` and `seed` name it.
+    """
+    files = zip(inputs["evaluations"], inputs["confusions"], evaluated, strict=True)
+    evaluations = [scores.read_evaluation(*paths, *pair, config["seed"]) for *paths, pair in files]
+    histories = {tuple(pair): pd.read_csv(path) for pair, path in zip(trained, inputs["histories"], strict=True)}
+    views = {tuple(pair): Path(folder) for pair, folder in zip(viewed, inputs["views"], strict=True)}
+    found = scores.collect_scores(evaluations, facts)
+    printed = tables.make_tables(found)
+    sections = report.draw_sections(outputs["figures"], found, evaluations, histories, views)
+    labelled = list(dict.fromkeys([*map(tuple, evaluated), *views]))
+    html = report.render_report(
+        report.describe_run(config["run"], config["seed"], labelled),
+        found,
+        printed,
+        sections,
+        yaml.safe_dump(dict(config), sort_keys=False, allow_unicode=True),
+        unscored=labelled[len(evaluated) :],
+    )
+    tables.write_tables(outputs["tables"], printed)
+    scores.write_scores(outputs["scores"], found)
+    report.write_report(outputs["report"], html)
+
+
+if __name__ == "__main__":
+    with logged(snakemake.log[0]):
+        main(dict(snakemake.input.items()), dict(snakemake.output.items()), **snakemake.params)

@@ -1,0 +1,198 @@
+"""Views of a labelled map: truth, prediction and errors, from above and from eye level.
+
+Source: thesis Figs. 2.8-2.12 show such views beside each other.
+"""
+
+from collections.abc import Iterable
+from typing import NamedTuple
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from streetscan.benchmarks import figures
+from streetscan.benchmarks.rendering import View, render_cloud, render_top
+from streetscan.classes import GROUND, N_CLASSES, UNLABELLED, colours
+from streetscan.voxels import VoxelGrid
+
+EYE_HEIGHT_M = 2.2
+_PITCH = -0.07
+_REACH_M, _CELL_M, _N_DIRECTIONS, _MAX_PLACES = 35.0, 4.0, 16, 500
+
+
+class Viewpoint(NamedTuple):
+    """An eye: (3,) position in frame `map`, metres, and the direction it looks, counter-clockwise from easting."""
+
+    position: np.ndarray
+    yaw_rad: float
+
+
+def choose_viewpoint(points: np.ndarray, labels: np.ndarray) -> Viewpoint:
+    """A place on the ground that sees much of many classes.
+
+    Ground cells of 4 m (up to 500, evenly spread) and 16 directions are tried; the score of a direction is the sum over the classes of the
+    logarithm of what a wedge of 60 degrees holds of it up to 35 m away, so that one rare class outweighs much of a common one.
+
+    Args:
+        points: (V, 3) float64, frame `map`, metres.
+        labels: (V,) uint8.
+    Returns:
+        the viewpoint, 2.2 m above the ground there; without ground, above the lowest points.
+    """
+    floor = labels == GROUND if (labels == GROUND).any() else points[:, 2] <= np.quantile(points[:, 2], 0.1)
+    cells, first = _cells(points, _CELL_M)
+    counts = np.zeros((len(cells), N_CLASSES))
+    known = labels != UNLABELLED
+    np.add.at(counts, (first[known], labels[known]), 1)
+    centres = (cells + 0.5) * _CELL_M
+    has_floor = np.bincount(first[floor], minlength=len(cells)) > 0
+    directions = np.arange(_N_DIRECTIONS) * 2 * np.pi / _N_DIRECTIONS
+    best = (-1.0, -1.0, centres[0], 0.0)
+    middle = np.median(points[:, :2], axis=0)
+    candidates = centres[has_floor]
+    for centre in candidates[:: -(-len(candidates) // _MAX_PLACES)]:
+        offset = centres - centre
+        distance = np.hypot(*offset.T)
+        # Things at the feet fill the picture and hide the rest.
+        near = (distance > 1.5 * _CELL_M) & (distance < _REACH_M)
+        azimuth = np.arctan2(offset[near, 1], offset[near, 0])
+        for yaw in directions:
+            inside = np.cos(azimuth - yaw) > np.cos(np.radians(30))
+            score = float(np.log1p(counts[near][inside].sum(axis=0)).sum())
+            candidate = (round(score, 6), -float(np.hypot(*(centre - middle))), centre, float(yaw))
+            best = max(best, candidate, key=lambda c: c[:2])
+    centre, yaw = best[2], best[3]
+    on_floor = points[floor]
+    nearest = np.argsort(np.hypot(*(on_floor[:, :2] - centre).T), kind="stable")[:50]
+    return Viewpoint(np.array([*centre, np.median(on_floor[nearest, 2]) + EYE_HEIGHT_M]), yaw)
+
+
+def _cells(points: np.ndarray, size_m: float) -> tuple[np.ndarray, np.ndarray]:
+    """The occupied cells of a horizontal grid, (C, 2) int64, and the cell each point lies in, (N,)."""
+    keys = np.floor(points[:, :2] / size_m).astype(np.int64)
+    low = keys.min(axis=0)
+    width = int(keys[:, 1].max() - low[1]) + 1
+    packed, inverse = np.unique((keys[:, 0] - low[0]) * width + keys[:, 1] - low[1], return_inverse=True)
+    return np.stack(np.divmod(packed, width), axis=1) + low, inverse
+
+
+def error_colours(predicted: np.ndarray, true: np.ndarray) -> np.ndarray:
+    """(N, 3) uint8: grey where the prediction is right, orange where it is wrong, blue-grey where truth is unlabelled."""
+    out = np.where((predicted == true)[:, None], np.uint8(figures.CORRECT_COLOUR), np.uint8(figures.WRONG_COLOUR))
+    out[true == UNLABELLED] = figures.UNKNOWN_COLOUR
+    return out
+
+
+def draw_views(
+    grid: VoxelGrid,
+    predicted: np.ndarray,
+    true: np.ndarray | None,
+    chunks: Iterable[np.ndarray],
+    width_px: int = 1440,
+    reach_m: float = 80.0,
+) -> dict[str, Figure]:
+    """Pictures of a labelled map.
+
+    Args:
+        grid: its voxels.
+        predicted: (V,) uint8, the voxels' predicted labels.
+        true: (V,) uint8, the voxels' true labels, or None when nothing is known.
+        chunks: (n, 3) float64 arrays, frame `map`, metres; together the map's points. Only those near the eye are kept.
+        width_px: width of the pictures.
+        reach_m: how far the eye sees.
+    Returns:
+        `predicted_top`, `predicted_street` and, when any voxel has a true label, `true_*` and `errors_*`. The view from above
+        shows voxels, turned so that the map's long side lies across; the view from eye level shows points.
+    """
+    centres = grid.centres
+    seen_from = choose_viewpoint(centres, predicted)
+    yaw = _principal_yaw(centres)
+    turned = _turn(centres, -yaw)
+    bounds_m, pixel_m = _frame(turned, width_px)
+    eye = _view(seen_from, width_px)
+    near, rows = _near_points(grid, chunks, seen_from.position, reach_m)
+    voxel_colours = {"predicted": colours(predicted)}
+    if _has_truth(true):
+        voxel_colours |= {"true": colours(true), "errors": error_colours(predicted, true)}
+    headings = {"predicted": "Predicted labels", "true": "True labels", "errors": _error_heading(predicted, true)}
+    drawn: dict[str, Figure] = {}
+    for name, paint in voxel_colours.items():
+        shown = true if name == "true" else predicted
+        entries = _error_entries(predicted, true) if name == "errors" else figures.legend_entries(shown)
+        top = render_top(turned, paint, pixel_m, bounds_m, point_size_m=2 * grid.size_m)
+        heading = headings[name]
+        drawn[f"{name}_top"] = figures.map_view(top, entries, heading, pixel_m, np.pi / 2 - yaw)
+        street = render_cloud(near, paint[rows], eye, point_size_m=0.06)
+        drawn[f"{name}_street"] = figures.map_view(street, entries, heading)
+    return drawn
+
+
+def draw_statistics(predicted: np.ndarray, confidence: np.ndarray, true: np.ndarray | None) -> dict[str, Figure]:
+    """How often each class occurs, and whether the confidence can be trusted.
+
+    Args:
+        predicted: (V,) uint8 in 0..8.
+        confidence: (V,) float32 in 0..1.
+        true: (V,) uint8, 255 where unknown, or None when nothing is known.
+    Returns:
+        `class_shares`, of the voxels with a true label where there are any, and, when any voxel has a true label, `reliability`.
+    """
+    if not _has_truth(true):
+        return {"class_shares": figures.class_shares({"predicted": np.bincount(predicted, minlength=N_CLASSES)})}
+    known = true != UNLABELLED
+    shares = {name: np.bincount(labels[known], minlength=N_CLASSES) for name, labels in (("true", true), ("predicted", predicted))}
+    bins = figures.reliability_bins(confidence[known], predicted[known] == true[known])
+    return {"class_shares": figures.class_shares(shares), "reliability": figures.reliability_diagram(bins)}
+
+
+def _has_truth(true: np.ndarray | None) -> bool:
+    return true is not None and bool((true != UNLABELLED).any())
+
+
+def _near_points(grid: VoxelGrid, chunks: Iterable[np.ndarray], position: np.ndarray, reach_m: float) -> tuple[np.ndarray, np.ndarray]:
+    kept = [points[np.hypot(*(points[:, :2] - position[:2]).T) < reach_m] for points in chunks]
+    near = np.concatenate([np.empty((0, 3)), *kept])
+    rows = grid.find(grid.keys_of(near))
+    return near[rows >= 0], rows[rows >= 0]
+
+
+def _principal_yaw(points: np.ndarray) -> float:
+    """Direction of the long side of the smallest rectangle around the map, in [-90, 90) degrees, to one degree."""
+    places = _cells(points, 0.5)[0] * 0.5
+    yaws = np.radians(np.arange(-90, 90))
+    sides = np.array([np.ptp(places @ np.array([[np.cos(y), -np.sin(y)], [np.sin(y), np.cos(y)]]), axis=0) for y in yaws])
+    # Of rectangles as good as each other, the first whose long side lies along its yaw.
+    area = np.where(sides[:, 0] >= sides[:, 1], np.round((sides[:, 0] + 1) * (sides[:, 1] + 1), 6), np.inf)
+    return float(yaws[np.argmin(area)])
+
+
+def _turn(points: np.ndarray, yaw_rad: float) -> np.ndarray:
+    middle = points[:, :2].mean(axis=0)
+    c, s = np.cos(yaw_rad), np.sin(yaw_rad)
+    return np.c_[(points[:, :2] - middle) @ np.array([[c, s], [-s, c]]), points[:, 2]]
+
+
+def _frame(points: np.ndarray, width_px: int) -> tuple[tuple[float, float, float, float], float]:
+    """Bounds of the view from above with a margin of 2 %, metres, and the edge of a pixel; at most as high as wide."""
+    low, high = points[:, :2].min(axis=0), points[:, :2].max(axis=0)
+    margin = max(0.5, 0.02 * float((high - low).max()))
+    low, high = low - margin, high + margin
+    return (*low.tolist(), *high.tolist()), float((high - low).max()) / width_px
+
+
+def _view(seen_from: Viewpoint, width_px: int) -> View:
+    forward = np.array([np.cos(seen_from.yaw_rad), np.sin(seen_from.yaw_rad), _PITCH])
+    target = seen_from.position + forward
+    return View(tuple(seen_from.position.tolist()), tuple(target.tolist()), width_px, width_px // 2, field_of_view_deg=75.0)
+
+
+def _error_entries(predicted: np.ndarray, true: np.ndarray) -> list[tuple[str, tuple[int, int, int]]]:
+    entries = [("Right", figures.CORRECT_COLOUR), ("Wrong", figures.WRONG_COLOUR)]
+    return entries + ([("No true label", figures.UNKNOWN_COLOUR)] if (true == UNLABELLED).any() else [])
+
+
+def _error_heading(predicted: np.ndarray, true: np.ndarray | None) -> str:
+    if not _has_truth(true):
+        return "Errors"
+    known = true != UNLABELLED
+    wrong = int((predicted[known] != true[known]).sum())
+    return f"Errors: {100 * wrong / int(known.sum()):.1f} % of {int(known.sum()):,} labelled voxels".replace(",", "\u202f")

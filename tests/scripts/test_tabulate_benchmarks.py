@@ -1,0 +1,83 @@
+"""tabulate_benchmarks on made-up evaluations of two maps and a third without truth."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from scripts import tabulate_benchmarks
+from streetscan.benchmarks.scores import read_scores
+from streetscan.errors import BadInput
+from streetscan.segmentation.metrics import evaluate_labels
+
+CONFIG = {"run": "try", "seed": 1, "labelled_maps": ["city/c2cnn"]}
+EVALUATED = [("city", "c2cnn"), ("oakland", "c2cnn_from_city")]
+FACTS = {"city": {"year": 2026, "n_classes": 9}, "oakland": {"sensor": "SICK LMS (MLS)", "n_points": None}}
+
+
+@pytest.fixture
+def inputs(tmp_path):
+    rng = np.random.default_rng(0)
+    paths = {"evaluations": [], "confusions": [], "histories": [], "views": []}
+    for dataset, _ in EVALUATED:
+        true = rng.integers(0, 9, 3000).astype(np.uint8)
+        predicted = np.where(rng.random(3000) < 0.9, true, 0).astype(np.uint8)
+        groups = {"Ground": ["ground"], "Pole-like": ["column"]} if dataset == "oakland" else None
+        tables = evaluate_labels(true, predicted, np.ones(3000, np.float32), n_per_class=100, rng=rng, groups=groups)
+        for kind, table in zip(("evaluations", "confusions"), tables, strict=True):
+            path = tmp_path / f"{dataset}_{kind}.csv"
+            table.to_csv(path, index=False)
+            paths[kind].append(str(path))
+    history = pd.DataFrame({"epoch": [1], "train_loss": [1.0], "validation_accuracy": [0.5], "learning_rate": [0.1]})
+    history.to_csv(tmp_path / "history.csv", index=False)
+    views = tmp_path / "views"
+    views.mkdir()
+    (views / "predicted_top.png").write_bytes(b"\x89PNG")
+    return paths | {"histories": [str(tmp_path / "history.csv")], "views": [str(views)]}
+
+
+def run(inputs, folder):
+    outputs = {name: str(folder / name) for name in ("tables", "figures")} | {
+        "scores": str(folder / "scores.csv"),
+        "report": str(folder / "report.html"),
+    }
+    tabulate_benchmarks.main(
+        inputs,
+        outputs,
+        evaluated=EVALUATED,
+        trained=[("city", "c2cnn")],
+        viewed=[["my_street", "c2cnn_shipped"]],
+        facts=FACTS,
+        config=CONFIG,
+    )
+
+
+def test_all_outputs(inputs, tmp_path):
+    run(inputs, tmp_path / "out")
+    scores = read_scores(tmp_path / "out" / "scores.csv")
+    assert set(scores["table"]) == {"nagy_1_2", "nagy_2_3", "nagy_2_4", "nagy_2_3_natural", "map_cleaning"}
+    pole = scores[(scores["table"] == "nagy_2_4") & (scores["row"] == "pole_like") & (scores["method"] == "c2cnn_from_city")].iloc[0]
+    assert pole["paper"] == "73.3"
+    assert 80 < pole["ours"] < 100
+    for name in ("nagy_2_3_city", "nagy_2_4_oakland", "map_cleaning", "nagy_1_2"):
+        for suffix in ("csv", "md", "tex"):
+            assert (tmp_path / "out" / "tables" / f"{name}.{suffix}").stat().st_size > 0
+    assert (tmp_path / "out" / "figures" / "confusion_oakland_c2cnn_from_city.svg").is_file()
+    html = (tmp_path / "out" / "report.html").read_text()
+    for text in ("streetscan: run try", "Map my_street", "without truth nothing can be scored", "labelled_maps:"):
+        assert text in html
+
+
+def test_the_same_inputs_give_the_same_files(inputs, tmp_path):
+    run(inputs, tmp_path / "a")
+    run(inputs, tmp_path / "b")
+    files = sorted(p.relative_to(tmp_path / "a") for p in (tmp_path / "a").rglob("*") if p.is_file())
+    assert len(files) > 20
+    for path in files:
+        assert (tmp_path / "a" / path).read_bytes() == (tmp_path / "b" / path).read_bytes(), path
+
+
+def test_a_broken_evaluation_leaves_no_report(inputs, tmp_path):
+    (tmp_path / "oakland_evaluations.csv").write_text("protocol\n")
+    with pytest.raises(BadInput, match=r"oakland_evaluations\.csv"):
+        run(inputs, tmp_path / "out")
+    assert not (tmp_path / "out").exists()
