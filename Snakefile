@@ -1,0 +1,27 @@
+"""streetscan: from street recordings to a labelled map and the papers' tables. `snakemake --list-rules` names the steps."""
+
+from snakemake.utils import min_version, validate
+
+min_version("9.27")
+
+
+configfile: workflow.source_path("config/default.yaml")
+
+
+validate(config, workflow.source_path("config/schema.yaml"))
+
+
+include: "rules/common.smk"
+include: "rules/data.smk"
+include: "rules/segmentation.smk"
+include: "rules/benchmarks.smk"
+
+
+rule all:
+    """Tables and report of the run, the products of every labelled map, and a page for every drive."""
+    default_target: True
+    input:
+        [f"results/tabulate_benchmarks/{config['run']}/report.html"] if LABELLED else [],
+        for_pairs("results/clean_map/{dataset}/{split}/{model}/static.laz", LABELLED),
+        for_pairs("results/extract_objects/{dataset}/{split}/{model}/objects.gpkg", LABELLED),
+        expand("results/inspect_drive/{drive}/sheet.html", drive=config["drives"]),

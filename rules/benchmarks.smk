@@ -1,0 +1,75 @@
+"""Scores against truth, tables beside the papers' figures, the report."""
+
+
+rule evaluate_labels:
+    """Precision, recall and F of a label map per class, on a class-even test set and on all voxels; confusion matrix."""
+    input:
+        code=library("evaluate_labels"),
+        truth="results/label_voxels/{dataset}/test/labels.npy",
+        predictions=label_tiles("voxels_{}.npz", "test"),
+    output:
+        scores="results/evaluate_labels/{dataset}/{model}/scores.csv",
+        confusion="results/evaluate_labels/{dataset}/{model}/confusion.csv",
+    log:
+        "results/evaluate_labels/{dataset}/{model}/scores.log",
+    conda:
+        "../envs/streetscan.yaml"
+    resources:
+        mem_mb=3000,
+    params:
+        **config["evaluate_labels"],
+        groups=lambda w: facts(w.dataset).get("groups"),
+        seed=config["seed"],
+    script:
+        "../scripts/evaluate_labels.py"
+
+
+rule evaluate_views:
+    """Pictures of a labelled map from above and from eye level: predicted and, with truth, true and wrong labels."""
+    input:
+        code=library("evaluate_views"),
+        map=map_of,
+        voxels="results/voxelize_map/{dataset}/{split}/voxels.npz",
+        predictions=label_tiles("voxels_{}.npz"),
+        truth=lambda w: f"results/label_voxels/{w.dataset}/{w.split}/labels.npy" if (w.dataset, w.model) in EVALUATED else [],
+    output:
+        folder=directory("results/evaluate_views/{dataset}/{split}/{model}/views"),
+    log:
+        "results/evaluate_views/{dataset}/{split}/{model}/views.log",
+    conda:
+        "../envs/streetscan.yaml"
+    resources:
+        mem_mb=3000,
+    params:
+        **config["evaluate_views"],
+    script:
+        "../scripts/evaluate_views.py"
+
+
+rule tabulate_benchmarks:
+    """The papers' tables with ours beside theirs, as CSV, Markdown and LaTeX, and one report of the run."""
+    input:
+        code=library("tabulate_benchmarks"),
+        evaluations=for_pairs("results/evaluate_labels/{dataset}/{model}/scores.csv", EVALUATED),
+        confusions=for_pairs("results/evaluate_labels/{dataset}/{model}/confusion.csv", EVALUATED),
+        histories=for_pairs("results/train_segmenter/{dataset}/{model}/history.csv", TRAINED),
+        views=for_pairs("results/evaluate_views/{dataset}/{split}/{model}/views", LABELLED),
+    output:
+        scores="results/tabulate_benchmarks/{run}/scores.csv",
+        report="results/tabulate_benchmarks/{run}/report.html",
+        tables=directory("results/tabulate_benchmarks/{run}/tables"),
+        figures=directory("results/tabulate_benchmarks/{run}/figures"),
+    log:
+        "results/tabulate_benchmarks/{run}/report.log",
+    conda:
+        "../envs/streetscan.yaml"
+    resources:
+        mem_mb=2000,
+    params:
+        evaluated=EVALUATED,
+        trained=TRAINED,
+        viewed=LABELLED,
+        facts={dataset: facts(dataset)["published"] for dataset, _ in LABELLED if "published" in facts(dataset)},
+        config=config,
+    script:
+        "../scripts/tabulate_benchmarks.py"

@@ -1,0 +1,38 @@
+"""Labels and confidences of one group of a map's tiles, for its voxels and its points."""
+
+from collections.abc import Sequence
+
+from streetscan.io.label_tiles import write_label_tile
+from streetscan.io.las import iterate_las, open_las_writer, read_crs
+from streetscan.logs import logged
+from streetscan.segmentation.c2cnn import load_network
+from streetscan.segmentation.inference import label_points, label_voxels, parse_tiles
+from streetscan.voxels import VoxelGrid
+
+
+def main(
+    map_path: str, voxels_path: str, network_paths: Sequence[str], labelled_map_path: str, labelled_voxels_path: str,
+    tiles: str, tile_m: float, n_threads: int,
+) -> None:  # fmt: skip
+    """
+    Args:
+        map_path: LAZ file.
+        voxels_path: its voxel grid.
+        network_paths: weights.safetensors and settings.yaml.
+        labelled_map_path: LAZ file to write: the points of the group's voxels, all fields kept, `label` and `confidence` added.
+        labelled_voxels_path: `.npz` to write: rows into the grid, labels, confidence.
+        tiles: the group, such as `0of9`.
+        tile_m: edge of a tile.
+        n_threads: threads; the result does not depend on it.
+    """
+    grid = VoxelGrid.load(voxels_path)
+    predictions = label_voxels(load_network(*network_paths), grid, tile_m, *parse_tiles(tiles), n_threads)
+    with open_las_writer(labelled_map_path, read_crs(map_path)) as writer:
+        for cloud in label_points(iterate_las(map_path), grid, *predictions):
+            writer.write(cloud)
+    write_label_tile(labelled_voxels_path, *predictions)
+
+
+if __name__ == "__main__":
+    with logged(snakemake.log[0]):
+        main(snakemake.input.map, snakemake.input.voxels, snakemake.input.network, *snakemake.output, **snakemake.params)

@@ -1,0 +1,293 @@
+"""C²CNN: a small 3-D convolutional network that names the centre voxel of a K x K x K cube with two channels.
+
+`C2CNN.forward` takes cubes one by one, as the thesis describes the sliding volume; `streetscan.segmentation.sparse`
+evaluates the same weights for many voxels at once.
+
+Source: Nagy (2020), 2.4 and Fig. 2.7, appendix A.2; N-013..N-024.
+"""
+
+import itertools
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import torch
+import yaml
+from safetensors import SafetensorError
+from safetensors.torch import load_file, save_file
+from torch import nn
+
+from streetscan.classes import N_CLASSES, NAMES
+from streetscan.errors import BadInput
+from streetscan.io.atomic import atomic_path
+from streetscan.voxels import VoxelGrid, find_sorted, pack_keys
+
+CHANNELS = ("count", "height", "occupancy")
+COUNT_SCALES = ("log", "raw")
+# Three 3x3x3 convolutions without a pooling between them look at 7 voxels.
+SMALLEST_K = 7
+
+
+class Layer(NamedTuple):
+    """One layer of the network seen by a window that slides by one voxel: `width` taps an axis, `step` voxels apart."""
+
+    kind: str
+    width: int
+    step: int
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Everything needed to rebuild a network and its input; stored beside the weights.
+
+    Attributes:
+        size_m: voxel edge λ the weights were made for.
+        k: voxels an axis of the cube, odd.
+        channels: input channels, of `count` (points), `height` (above ground) and `occupancy` (1). OG-CNN is
+            occupancy alone.
+        count_scale: `log` enters ln(1 + count), `raw` the count itself (the thesis' wording).
+        height_scale_m: the height enters divided by this, cut to [-1, 3].
+        filters: filters of the three convolutions.
+        n_hidden: units of the hidden dense layer.
+        dropout: share of units removed in training.
+        classes: names of the outputs in order.
+    """
+
+    size_m: float = 0.1
+    k: int = 23
+    channels: tuple[str, ...] = ("count", "height")
+    # ASSUME: the thesis does not scale its inputs. Counts span three decades, with which SGD does not converge reliably,
+    # and heights in metres dwarf every other input: logarithm and a division by 10 m.
+    count_scale: str = "log"
+    height_scale_m: float = 10.0
+    filters: tuple[int, ...] = (8, 16, 32)
+    # ASSUME: Fig. 2.7 names no width; LeNet-5 has 120 and 84. One hidden layer of 128 (a multiple of the vector width).
+    n_hidden: int = 128
+    dropout: float = 0.3
+    classes: tuple[str, ...] = NAMES
+
+    def __post_init__(self):
+        for name in ("channels", "filters", "classes"):
+            object.__setattr__(self, name, tuple(getattr(self, name)))
+        if not self.size_m > 0:
+            raise BadInput("size_m", f"{self.size_m} is not above 0", "give the voxel edge in metres, such as 0.1")
+        if int(self.k) != self.k or self.k % 2 == 0 or self.k < SMALLEST_K:
+            raise BadInput("k", f"{self.k} is not an odd number of at least {SMALLEST_K}", "give the cube's side in voxels, such as 23")
+        if not self.channels or len(set(self.channels)) < len(self.channels) or not set(self.channels) <= set(CHANNELS):
+            raise BadInput("channels", f"{list(self.channels)}", f"choose one or more of {', '.join(CHANNELS)}, each once")
+        if self.count_scale not in COUNT_SCALES:
+            raise BadInput("count_scale", f"'{self.count_scale}' is unknown", f"choose one of {', '.join(COUNT_SCALES)}")
+        if not self.height_scale_m > 0:
+            raise BadInput("height_scale_m", f"{self.height_scale_m} is not above 0", "give metres, such as 10")
+        if len(self.filters) != 3 or min(self.filters) < 1 or self.n_hidden < 1:
+            raise BadInput(
+                "filters", f"{list(self.filters)} and {self.n_hidden} hidden units", "give three convolutions, such as 8, 16, 32"
+            )
+        if not 0 <= self.dropout < 1:
+            raise BadInput("dropout", f"{self.dropout} is not in [0, 1)", "give a share, such as 0.3")
+        missing = [n for n in NAMES if n not in self.classes]
+        if missing or len(self.classes) != N_CLASSES:
+            found = f"class '{missing[0]}' is missing" if missing else f"{len(self.classes)} classes instead of {N_CLASSES}"
+            raise BadInput("the weights' settings", found, "train with all nine classes or use other weights")
+        if self.classes != NAMES:
+            raise BadInput("the weights' settings", f"the classes are in the order {', '.join(self.classes)}", "train again")
+
+    @property
+    def radius(self) -> int:
+        """Voxels from the centre of the cube to its face."""
+        return self.k // 2
+
+    @property
+    def layers(self) -> tuple[Layer, ...]:
+        """Convolutions, poolings and the dense layer from input to output.
+
+        ASSUME: the text gives no padding. Without padding a cube's output depends on nothing but the voxels around its
+        centre, so neighbouring cubes share all their work. Each of the first two convolutions is followed by a
+        max-pooling of 2 with stride 2 (LeNet-5's order); below K = 18 two poolings leave nothing for the third
+        convolution, and as many as fit are kept, the earlier one first.
+        """
+        for pooled in ((True, True), (True, False), (False, True), (False, False)):
+            layers, width, step = [], self.k, 1
+            for has_pooling in (*pooled, False):
+                layers.append(Layer("conv", 3, step))
+                width -= 2
+                if has_pooling:
+                    layers.append(Layer("pool", 2, step))
+                    width, step = width // 2, 2 * step
+            if width >= 1:
+                return (*layers, Layer("dense", width, step))
+        raise AssertionError(f"k = {self.k} was let through")
+
+    def save(self, path: str | Path) -> None:
+        """Write as YAML."""
+        content = {name: list(v) if isinstance(v, tuple) else v for name, v in asdict(self).items()}
+        with atomic_path(path) as partial:
+            partial.write_text(yaml.safe_dump(content, sort_keys=False))
+
+    @classmethod
+    def load(cls, path: str | Path) -> "Settings":
+        """Read what `save` wrote. BadInput when a key is missing, unknown or its value impossible."""
+        try:
+            content = yaml.safe_load(Path(path).read_text())
+        except (OSError, yaml.YAMLError, UnicodeDecodeError) as error:
+            raise BadInput(
+                path, f"not readable as settings ({error})", "give the settings.yaml that was written beside the weights"
+            ) from error
+        names = {f.name for f in fields(cls)}
+        if not isinstance(content, dict) or set(content) != names:
+            odd = sorted(names.symmetric_difference(content if isinstance(content, dict) else ()))
+            raise BadInput(path, f"keys missing or unknown: {', '.join(odd)}", "give the settings.yaml that was written beside the weights")
+        try:
+            return cls(**content)
+        except (TypeError, ValueError) as error:
+            raise BadInput(
+                path, f"a value of the wrong type ({error})", "give the settings.yaml that was written beside the weights"
+            ) from error
+
+
+class C2CNN(nn.Module):
+    """The network of Fig. 2.7, cube by cube.
+
+    ASSUME: the two dropouts act before and after the hidden dense layer. The text does not say where; there each
+    sample has its own even when neighbouring cubes share their convolutions, so both evaluators train alike.
+    """
+
+    def __init__(self, settings: Settings, seed: int = 0):
+        """
+        Args:
+            settings: the network's shape.
+            seed: of the random initial weights (He's uniform, biases zero; the thesis only says random, N-023).
+        """
+        super().__init__()
+        self.settings = settings
+        widths = (len(settings.channels), *settings.filters)
+        n_features = settings.layers[-1].width ** 3 * settings.filters[-1]
+        self.convolutions = nn.ModuleList(nn.Conv3d(a, b, 3) for a, b in itertools.pairwise(widths))
+        self.hidden = nn.Linear(n_features, settings.n_hidden)
+        self.output = nn.Linear(settings.n_hidden, len(settings.classes))
+        generator = torch.Generator().manual_seed(seed)
+        for layer in (*self.convolutions, self.hidden, self.output):
+            nn.init.kaiming_uniform_(layer.weight, nonlinearity="relu", generator=generator)
+            nn.init.zeros_(layer.bias)
+
+    def forward(self, cubes: torch.Tensor, generator: torch.Generator | None = None) -> torch.Tensor:
+        """Logits (B, 9) of cubes (B, C, K, K, K) float32, axes x, y, z. Drops units when a generator is given."""
+        x, convolutions = cubes, iter(self.convolutions)
+        for layer in self.settings.layers:
+            if layer.kind == "conv":
+                x = torch.relu(next(convolutions)(x))
+            elif layer.kind == "pool":
+                x = nn.functional.max_pool3d(x, layer.width)
+        return self.classify(x.flatten(1), self.hidden.weight, generator)
+
+    def classify(self, features: torch.Tensor, hidden_weight: torch.Tensor, generator: torch.Generator | None) -> torch.Tensor:
+        """The dense part: (B, F) features to (B, 9) logits; `hidden_weight` in the order of the features."""
+        features = drop(features, self.settings.dropout, generator)
+        hidden = torch.relu(nn.functional.linear(features, hidden_weight, self.hidden.bias))
+        return self.output(drop(hidden, self.settings.dropout, generator))
+
+
+def drop(x: torch.Tensor, share: float, generator: torch.Generator | None) -> torch.Tensor:
+    """Dropout drawn from `generator`; x itself without one."""
+    if generator is None or share == 0:
+        return x
+    kept = torch.rand(x.shape, generator=generator) >= share
+    return x * kept / (1 - share)
+
+
+def input_channels(counts: np.ndarray, height_m: np.ndarray, settings: Settings) -> np.ndarray:
+    """The network's input at occupied voxels; an empty voxel is 0 in every channel.
+
+    Args:
+        counts: (V,) points in each voxel.
+        height_m: (V,) float32 mean height above the local ground.
+        settings: channels and their scaling.
+    Returns:
+        (V, C) float32.
+    Raises:
+        BadInput: the height channel is wanted and a height is unknown.
+    """
+    columns = []
+    for channel in settings.channels:
+        if channel == "count":
+            counts = counts.astype(np.float32)
+            columns.append(np.log1p(counts) if settings.count_scale == "log" else counts)
+        elif channel == "height":
+            if not np.isfinite(height_m).all():
+                n_unknown = int((~np.isfinite(height_m)).sum())
+                raise BadInput("the voxels", f"{n_unknown} have no height above ground", "run voxelize_map again")
+            columns.append(np.clip(height_m / settings.height_scale_m, -1, 3))
+        else:
+            columns.append(np.ones(len(counts)))
+    return np.stack(columns, axis=1).astype(np.float32)
+
+
+def turn_keys(keys: np.ndarray, turns: np.ndarray | int) -> np.ndarray:
+    """Voxel keys (N, 3) turned by quarter turns, counter-clockwise about the vertical through voxel (0, 0, 0)."""
+    x, y, z = np.asarray(keys).T
+    turns = np.broadcast_to(turns, x.shape) % 4
+    turned_x = np.choose(turns, (x, -y, -x, y))
+    turned_y = np.choose(turns, (y, x, -y, -x))
+    return np.stack([turned_x, turned_y, z], axis=1)
+
+
+def extract_cubes(grid: VoxelGrid, channels: np.ndarray, keys: np.ndarray, turns: np.ndarray, k: int) -> np.ndarray:
+    """Cut the K x K x K neighbourhoods of voxels out of the sparse grid.
+
+    Args:
+        grid: the occupied voxels.
+        channels: (V, C) float32 input at them.
+        keys: (S, 3) centre voxels.
+        turns: (S,) quarter turns, counter-clockwise about the vertical through the centre.
+        k: side in voxels, odd.
+    Returns:
+        (S, C, K, K, K) float32, axes x, y, z of the turned neighbourhood.
+    """
+    steps = np.arange(k) - k // 2
+    offsets = np.stack(np.meshgrid(steps, steps, steps, indexing="ij"), axis=-1).reshape(-1, 3)
+    padded = np.vstack([channels, np.zeros((1, channels.shape[1]), np.float32)])
+    packed = pack_keys(grid.keys)
+    cubes = np.empty((len(keys), channels.shape[1], k, k, k), np.float32)
+    for i, (key, turn) in enumerate(zip(keys, turns, strict=True)):
+        # A cell of the turned cube shows what lies at the offset turned back.
+        rows = find_sorted(packed, pack_keys(np.asarray(key, np.int64) + turn_keys(offsets, -int(turn))))
+        cubes[i] = padded[rows].T.reshape(-1, k, k, k)
+    return cubes
+
+
+def save_network(network: C2CNN, weights: str | Path, settings: str | Path) -> None:
+    """Write the weights (safetensors) and the settings (YAML)."""
+    network.settings.save(settings)
+    with atomic_path(weights) as partial:
+        save_file({name: tensor.detach().contiguous() for name, tensor in network.state_dict().items()}, partial)
+
+
+def load_network(weights: str | Path, settings: str | Path) -> C2CNN:
+    """Rebuild a network. BadInput when a file is damaged or the two do not belong together."""
+    network = C2CNN(Settings.load(settings))
+    try:
+        tensors = load_file(weights)
+    except (OSError, SafetensorError) as error:
+        raise BadInput(weights, f"not a complete safetensors file ({error})", "train again or fetch the file again") from error
+    expected = {name: tuple(tensor.shape) for name, tensor in network.state_dict().items()}
+    found = {name: tuple(tensor.shape) for name, tensor in tensors.items()}
+    if found != expected:
+        odd = sorted(name for name in expected | found if expected.get(name) != found.get(name))[0]
+        detail = f"'{odd}' is {found.get(odd, 'missing')} where {settings} asks for {expected.get(odd, 'no such tensor')}"
+        raise BadInput(weights, f"weights made with other settings: {detail}", "give weights and settings of one training")
+    if not all(bool(torch.isfinite(tensor).all()) for tensor in tensors.values()):
+        raise BadInput(weights, "holds weights that are NaN or infinite", "train again")
+    network.load_state_dict(tensors)
+    return network.eval()
+
+
+def check_same_settings(found: Settings, wanted: Settings, where: object) -> None:
+    """Refuse weights that were made with other settings. BadInput names the first that differs."""
+    for f in fields(Settings):
+        # Dropout acts in training only.
+        if f.name != "dropout" and getattr(found, f.name) != getattr(wanted, f.name):
+            detail = f"{f.name} is {getattr(found, f.name)}, not {getattr(wanted, f.name)}"
+            raise BadInput(
+                where, f"weights made with other settings: {detail}", "give weights made with these settings or change the settings"
+            )

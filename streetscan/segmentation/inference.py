@@ -1,0 +1,157 @@
+"""A map's voxels and points with the labels a network gives them.
+
+The map is cut into square tiles; a tile's voxels are labelled with the voxels within half a cube around it. Tiles are
+the same however many groups they are dealt to, so groups change nothing but who works.
+
+Source: Nagy (2020), 2.4.2 (sliding volume, N-024), 2.5.5 (N-047, N-049).
+"""
+
+import logging
+import re
+from collections.abc import Iterable, Iterator
+
+import numpy as np
+import torch
+
+from streetscan.clouds import PointCloud
+from streetscan.errors import BadInput
+from streetscan.segmentation.c2cnn import C2CNN, input_channels
+from streetscan.segmentation.sparse import open_workers, sparse_logits
+from streetscan.voxels import VoxelGrid
+
+logger = logging.getLogger(__name__)
+
+# Voxels evaluated together: bounds the memory (about 20 KB a voxel where voxels lie loosely, as in a tree).
+_MAX_WANTED = 32_768
+
+
+def parse_tiles(tiles: str) -> tuple[int, int]:
+    """Group number and number of groups of a name such as `0of9`. BadInput when it is none."""
+    match = re.fullmatch(r"(\d+)of(\d+)", tiles)
+    if not match or not int(match[1]) < int(match[2]):
+        raise BadInput("tiles", f"'{tiles}' is no group of tiles", "give k of n from 0, such as 0of9")
+    return int(match[1]), int(match[2])
+
+
+def assign_tiles(grid: VoxelGrid, tile_m: float, n_groups: int) -> tuple[np.ndarray, np.ndarray]:
+    """Deal the tiles of a grid to groups of about as many voxels, each a run of neighbouring tiles.
+
+    Args:
+        grid: occupied voxels.
+        tile_m: edge of a tile, horizontally; rounded to whole voxels.
+        n_groups: number of groups.
+    Returns:
+        (V,) int64 tile of each voxel, numbered from 0 by position, and (T,) int64 group of each tile.
+    Raises:
+        BadInput: a tile is smaller than a voxel.
+    """
+    side = round(tile_m / grid.size_m)
+    if side < 1:
+        raise BadInput("label_map.tile_m", f"{tile_m} is less than a voxel of {grid.size_m} m", "give metres, such as 12.8")
+    # Tiles count from the map's own corner; without it a map's tiles would depend on its origin.
+    tile_xy = (grid.keys[:, :2] - grid.keys[:, :2].min(axis=0)) // side
+    _, tile = np.unique(tile_xy[:, 0].astype(np.int64) << 32 | tile_xy[:, 1], return_inverse=True)
+    n_voxels = np.bincount(tile)
+    middle = np.cumsum(n_voxels) - n_voxels / 2
+    return tile, (middle * n_groups // len(grid)).astype(np.int64)
+
+
+def label_voxels(
+    network: C2CNN, grid: VoxelGrid, tile_m: float, group: int = 0, n_groups: int = 1, n_threads: int = 1
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Labels of the occupied voxels of one group of tiles.
+
+    Args:
+        network: trained network.
+        grid: the whole map's voxels, with heights.
+        tile_m: edge of a tile.
+        group, n_groups: which group of how many.
+        n_threads: threads, a tile each; the result does not depend on it.
+    Returns:
+        rows (v,) int64 into the grid, increasing; labels (v,) uint8; confidence (v,) float32, the softmax of the label.
+    Raises:
+        BadInput: voxels of another size than the network was trained on, or a height is unknown.
+    """
+    settings = network.settings
+    if not np.isclose(grid.size_m, settings.size_m, rtol=1e-9):
+        found = f"voxels of {grid.size_m} m for weights made with {settings.size_m} m"
+        raise BadInput(
+            "the weights", f"weights made with other settings: {found}", "voxelize with the weights' size_m or use other weights"
+        )
+    channels = input_channels(grid.counts, grid.height_m, settings)
+    tile, group_of_tile = assign_tiles(grid, tile_m, n_groups)
+    by_tile = np.argsort(tile, kind="stable")
+    bounds = np.append(0, np.cumsum(np.bincount(tile)))
+    labels, confidence = np.zeros(len(grid), np.uint8), np.zeros(len(grid), np.float32)
+    tiles = np.flatnonzero(group_of_tile == group)
+
+    def label_tile(i):
+        rows = by_tile[bounds[i] : bounds[i + 1]]
+        nearby = _rows_near(grid, rows, settings.radius)
+        for part in _split(grid.keys, rows):
+            with torch.inference_mode():
+                shares = torch.softmax(sparse_logits(network, channels[nearby], grid.keys[nearby], grid.keys[part]), 1).numpy()
+            labels[part] = shares.argmax(axis=1)
+            confidence[part] = shares.max(axis=1)
+
+    with open_workers(n_threads) as workers:
+        # The list passes on a tile's error.
+        list(workers.map(label_tile, tiles))
+    rows = np.flatnonzero(np.isin(tile, tiles))
+    logger.info("%d voxels in %d tiles labelled", len(rows), len(tiles))
+    return rows, labels[rows], confidence[rows]
+
+
+def _rows_near(grid: VoxelGrid, rows: np.ndarray, radius: int) -> np.ndarray:
+    """Rows of the voxels at most `radius` beyond the bounding box of some, by slices of x."""
+    low, high = grid.keys[rows].min(axis=0) - radius, grid.keys[rows].max(axis=0) + radius
+    start, stop = np.searchsorted(grid.keys[:, 0], [low[0], high[0] + 1])
+    keys = grid.keys[start:stop, 1:]
+    return start + np.flatnonzero(((keys >= low[1:]) & (keys <= high[1:])).all(axis=1))
+
+
+def _split(keys: np.ndarray, rows: np.ndarray) -> Iterator[np.ndarray]:
+    """Halve rows of voxels along their longest extent until each part is small enough to evaluate at once."""
+    if len(rows) <= _MAX_WANTED:
+        yield rows
+        return
+    extent = keys[rows].max(axis=0) - keys[rows].min(axis=0)
+    order = np.argsort(keys[rows, int(np.argmax(extent))], kind="stable")
+    half = len(rows) // 2
+    for part in (order[:half], order[half:]):
+        yield from _split(keys, rows[part])
+
+
+def label_points(
+    clouds: Iterable[PointCloud], grid: VoxelGrid, rows: np.ndarray, labels: np.ndarray, confidence: np.ndarray
+) -> Iterator[PointCloud]:
+    """The points in labelled voxels, cloud by cloud, with fields `label` uint8 and `confidence` float32 added.
+
+    Args:
+        clouds: the map in pieces.
+        grid: its voxels.
+        rows, labels, confidence: what `label_voxels` returns.
+    Yields:
+        clouds without the points of other voxels; an empty cloud is left out unless it is the only one.
+    Raises:
+        BadInput: a point lies in no voxel of the grid.
+    """
+    place = np.full(len(grid), -1, np.int64)
+    place[rows] = np.arange(len(rows))
+    empty, has_points = None, False
+    for cloud in clouds:
+        row = grid.find(grid.keys_of(cloud.points))
+        if (row < 0).any():
+            where = cloud.points[int(np.argmax(row < 0))].round(3).tolist()
+            raise BadInput("the voxel grid", f"has no voxel at the map's point {where}", "run voxelize_map again on this map")
+        at = place[row]
+        picked = cloud.select(at >= 0)
+        at = at[at >= 0]
+        picked.fields |= {"label": labels[at], "confidence": confidence[at]}
+        if len(picked):
+            has_points = True
+            yield picked
+        else:
+            empty = picked
+    if not has_points and empty is not None:
+        yield empty

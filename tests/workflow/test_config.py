@@ -1,0 +1,66 @@
+"""Config and data set files: complete, described, and refused when misspelt."""
+
+import re
+
+import pytest
+import yaml
+from dag import HOME, snakemake
+
+SCHEMAS = sorted((HOME / "config").glob("*schema.yaml"))
+
+
+def objects(schema: dict, path: str = ""):
+    """Every object of a schema with its path."""
+    if schema.get("type") == "object" or "properties" in schema:
+        yield path, schema
+    for key in ("properties", "$defs", "patternProperties"):
+        for name, child in schema.get(key, {}).items():
+            yield from objects(child, f"{path}/{name}")
+    for key in ("items", "additionalProperties"):
+        if isinstance(schema.get(key), dict):
+            yield from objects(schema[key], f"{path}/{key}")
+
+
+@pytest.mark.parametrize("path", SCHEMAS, ids=lambda p: p.stem)
+def test_schema_is_closed_and_described(path):
+    for place, schema in objects(yaml.safe_load(path.read_text())):
+        assert schema.get("additionalProperties") is not None, f"{place} allows unknown keys"
+        assert schema["additionalProperties"] is False or isinstance(schema["additionalProperties"], dict), place
+        for name, child in schema.get("properties", {}).items():
+            assert child.get("description") or "$ref" in child, f"{place}/{name} has no description"
+            assert "default" not in child, f"{place}/{name}: values live in default.yaml alone"
+
+
+def test_every_section_is_a_step():
+    config = yaml.safe_load((HOME / "config" / "default.yaml").read_text())
+    rules = set(re.findall(r"^rule (\w+):", "".join(p.read_text() for p in (HOME / "rules").glob("*.smk")), re.MULTILINE))
+    sections = {name for name, value in config.items() if isinstance(value, dict)} - {"models"}
+    assert sections <= rules
+    for rule in rules:
+        assert (HOME / "scripts" / f"{rule}.py").is_file(), rule
+        assert (HOME / "tests" / "scripts" / f"test_{rule}.py").is_file(), rule
+
+
+def test_scripts_are_thin():
+    for path in (HOME / "scripts").glob("*.py"):
+        assert len(path.read_text().splitlines()) <= 60, path.name
+
+
+@pytest.mark.parametrize(
+    ("override", "key"),
+    [({"voxelize_map": {"size": 0.1}}, "size"), ({"sed": 2}, "sed"), ({"models": {"c2cnn": {"chanels": []}}}, "chanels")],
+)
+def test_misspelt_key_is_named(override, key, tmp_path):
+    path = tmp_path / "typo.yaml"
+    path.write_text(yaml.safe_dump(override))
+    result = snakemake("--dry-run", "--configfile", str(path), directory=tmp_path, check=False)
+    assert result.returncode != 0
+    assert f"'{key}' was unexpected" in result.stdout + result.stderr
+
+
+def test_unknown_data_set_is_named(tmp_path):
+    path = tmp_path / "unknown.yaml"
+    path.write_text("labelled_maps: [nowhere/c2cnn]\n")
+    result = snakemake("--dry-run", "--configfile", str(path), directory=tmp_path, check=False)
+    assert result.returncode != 0
+    assert "nowhere.yaml" in result.stdout + result.stderr

@@ -1,0 +1,51 @@
+"""The workflow as a whole: lint, diagram, rules with logs and resources, re-runs after edits."""
+
+import re
+import shutil
+import subprocess
+import sys
+
+import pytest
+from dag import HOME, snakemake
+
+
+def rules_text() -> dict[str, str]:
+    """The text of every rule by name."""
+    text = "\n".join(path.read_text() for path in sorted((HOME / "rules").glob("*.smk")))
+    parts = re.split(r"^rule (\w+):", text, flags=re.MULTILINE)[1:]
+    return dict(zip(parts[::2], parts[1::2], strict=True))
+
+
+def test_lint_is_clean(tmp_path):
+    result = snakemake("--configfile", str(HOME / "config" / "test.yaml"), "--lint", directory=tmp_path, check=False)
+    assert result.returncode == 0, result.stdout + result.stderr
+
+
+@pytest.mark.parametrize("part", ['"""', "code=library(", "log:", "resources:", "output:", "conda:"])
+def test_every_rule_has(part):
+    assert [name for name, text in rules_text().items() if part not in text] == []
+
+
+def test_diagram_in_readme_is_up_to_date():
+    result = subprocess.run([sys.executable, "docs/update_diagram.py", "--check"], cwd=HOME, capture_output=True, text=True)
+    assert result.returncode == 0, result.stderr
+
+
+def test_plain_snakemake_runs_from_any_directory(tmp_path):
+    assert snakemake("--dry-run", "--cores", "1", directory=tmp_path).returncode == 0
+
+
+def test_edit_of_the_deepest_import_runs_a_rule_again(tmp_path, tiny_scan):
+    """errors.py is imported by clouds.py, that by las.py, that by the rule's module."""
+    copy = tmp_path / "copy"
+    for name in ("Snakefile", "rules", "scripts", "config", "envs", "streetscan"):
+        source = HOME / name
+        shutil.copytree(source, copy / name) if source.is_dir() else (copy.mkdir(exist_ok=True), shutil.copy(source, copy / name))
+    target = f"results/voxelize_map/{tiny_scan.name}/all/voxels.npz"
+    command = [sys.executable, "-m", "snakemake", "--cores", "1", "--configfile", str(tiny_scan.config), "--", target]
+    subprocess.run(command, cwd=copy, check=True, capture_output=True)
+    command.insert(3, "--dry-run")
+    assert "Nothing to be done" in subprocess.run(command, cwd=copy, check=True, capture_output=True, text=True).stdout
+    with open(copy / "streetscan" / "errors.py", "a") as stream:
+        stream.write("# edited\n")
+    assert "voxelize_map" in subprocess.run(command, cwd=copy, check=True, capture_output=True, text=True).stdout
