@@ -1,14 +1,11 @@
 """streetscan: from street recordings to a labelled map and the papers' tables. `snakemake --list-rules` names the steps."""
 
-from snakemake.utils import min_version, validate
+from snakemake.utils import min_version
 
 min_version("9.27")
 
 
 configfile: workflow.source_path("config/default.yaml")
-
-
-validate(config, workflow.source_path("config/schema.yaml"))
 
 
 include: "rules/common.smk"

@@ -7,6 +7,8 @@ from pathlib import Path
 
 import psutil
 
+HOME = Path(__file__).resolve().parent.parent
+
 
 def is_held(directory: Path) -> bool:
     """Whether another process whose command names snakemake works in `directory`."""
@@ -22,7 +24,8 @@ def main() -> None:
     here = Path.cwd()
     locks = here / ".snakemake" / "locks"
     if locks.is_dir() and any(locks.iterdir()) and not is_held(here):
-        subprocess.run([sys.executable, "-m", "snakemake", "--unlock", "--configfile", "config/test.yaml"], check=True)
+        command = [sys.executable, "-m", "snakemake", "--snakefile", str(HOME / "Snakefile"), "--unlock"]
+        subprocess.run([*command, "--configfile", str(HOME / "config" / "test.yaml")], check=True)
 
 
 if __name__ == "__main__":

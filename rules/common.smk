@@ -11,11 +11,8 @@ HOME = Path(workflow.basedir)
 sys.path.insert(0, str(HOME))
 
 from streetscan.classes import NAMES
-from streetscan.datasets import load_dataset
+from streetscan.datasets import check_facts, load_dataset
 from streetscan.errors import StreetscanError
-
-DATASETS = Path(config["datasets_folder"] or HOME / "config" / "datasets")
-DRIVES = Path(config["drives_folder"] or HOME / "config" / "drives")
 
 
 wildcard_constraints:
@@ -53,17 +50,43 @@ def imported_names(path):
     return {name.rsplit(".", i)[0] for name in ours for i in range(name.count(".") + 1)}
 
 
+def as_workflow_error(function):
+    """The function, its one-sentence errors shown as Snakemake shows its own: without a traceback."""
+
+    @functools.wraps(function)
+    def wrapped(*arguments):
+        try:
+            return function(*arguments)
+        except StreetscanError as error:
+            raise WorkflowError(str(error)) from None
+
+    return wrapped
+
+
+@as_workflow_error
+def check_config():
+    """Refuse unknown keys and impossible values of the config in one sentence."""
+    check_facts(dict(config), yaml.safe_load((HOME / "config" / "schema.yaml").read_text()), "the config")
+
+
+check_config()
+
+DATASETS = Path(config["datasets_folder"] or HOME / "config" / "datasets")
+DRIVES = Path(config["drives_folder"] or HOME / "config" / "drives")
+
+
 @functools.cache
-def facts(dataset):
+@as_workflow_error
+def dataset(name):
+    """A data set's file, checked."""
+    return load_dataset(DATASETS / f"{name}.yaml", HOME / "config" / "dataset.schema.yaml")
+
+
+@functools.cache
+def facts(name):
     """The content of a data set's file, checked."""
-    path = DATASETS / f"{dataset}.yaml"
-    if not path.is_file():
-        raise WorkflowError(f"{path}: no such file; give data set '{dataset}' a file there or mend labelled_maps in the config.")
-    try:
-        load_dataset(path, HOME / "config" / "dataset.schema.yaml")
-    except StreetscanError as error:
-        raise WorkflowError(str(error)) from None
-    return yaml.safe_load(path.read_text())
+    dataset(name)
+    return yaml.safe_load((DATASETS / f"{name}.yaml").read_text())
 
 
 def step_of_map(dataset):
@@ -81,14 +104,20 @@ def truth_of(wildcards):
     return f"results/{step_of_map(wildcards.dataset)}/{wildcards.dataset}/{wildcards.split}/truth/labels.npy"
 
 
+@as_workflow_error
+def list_files(name, part):
+    """The files of a part of an imported data set; one that is missing is an error of one sentence."""
+    return [str(path) for path in dataset(name).files(part, config["data_root"])]
+
+
 def files_of(wildcards):
-    """The files of a part, relative to `data_root`."""
-    return [str(Path(config["data_root"]) / name) for name in facts(wildcards.dataset)["parts"][wildcards.split]["files"]]
+    """An input function: the files of a part."""
+    return list_files(wildcards.dataset, wildcards.split)
 
 
-def labelled_part(dataset):
-    """The part a model labels: `test` where there is truth, else the whole scan."""
-    return "test" if "test" in facts(dataset)["parts"] else "all"
+def labelled_part(name):
+    """The part a model labels: `test`, or the whole of a scan that has no parts."""
+    return "test" if "test" in facts(name)["parts"] else "all"
 
 
 def tiles_of(dataset, split):
@@ -147,9 +176,29 @@ def pairs(key):
     return [tuple(name.split("/")) for name in config[key]]
 
 
+def check_pair(name, model, needs_map=True):
+    """Refuse a (data set, model) pair that cannot be made, in one sentence that says why."""
+    if model not in config["models"]:
+        raise WorkflowError(f"labelled_maps: model '{model}' is not in the config; use one of {', '.join(config['models'])}.")
+    parts, truth, source = set(facts(name)["parts"]), facts(name)["truth"], config["models"][model]["weights"]
+    if needs_map and not parts & {"test", "all"}:
+        raise WorkflowError(f"labelled_maps: data set '{name}' has no part 'test' or 'all' to label; add one to its file.")
+    if source == "own" and (truth != "labels" or not {"train", "validation"} <= parts):
+        raise WorkflowError(
+            f"labelled_maps: model '{model}' trains on data set '{name}', which lacks labels or a part 'train' or 'validation'; "
+            "use c2cnn_shipped, or add them to its file."
+        )
+    for other in {source, config["models"][model]["initial"]} - {"own", "shipped", None}:
+        check_pair(*other.split("/"), needs_map=False)
+
+
 LABELLED = pairs("labelled_maps")
-EVALUATED = [(d, m) for d, m in LABELLED if facts(d)["truth"] == "labels"]
-TRAINED = [(d, m) for d, m in EVALUATED if config["models"][m]["weights"] == "own"]
+for name, model in LABELLED:
+    check_pair(name, model)
+    for part in facts(name)["parts"]:
+        list_files(name, part)  # now rather than in the middle of the DAG
+EVALUATED = [(d, m) for d, m in LABELLED if facts(d)["truth"] == "labels" and "test" in facts(d)["parts"]]
+TRAINED = [(d, m) for d, m in LABELLED if config["models"][m]["weights"] == "own"]
 
 
 def for_pairs(path, selected):

@@ -103,6 +103,7 @@ rule label_map:
     params:
         **config["label_map"],
         tiles=lambda w: w.tiles,
+        expected=structure_of,
         n_threads=config["n_threads"],
     script:
         "../scripts/label_map.py"

@@ -5,14 +5,14 @@ from collections.abc import Sequence
 from streetscan.io.label_tiles import write_label_tile
 from streetscan.io.las import iterate_las, open_las_writer, read_crs
 from streetscan.logs import logged
-from streetscan.segmentation.c2cnn import load_network
+from streetscan.segmentation.c2cnn import Settings, check_same_settings, load_network
 from streetscan.segmentation.inference import label_points, label_voxels, parse_tiles
 from streetscan.voxels import VoxelGrid
 
 
 def main(
     map_path: str, voxels_path: str, network_paths: Sequence[str], labelled_map_path: str, labelled_voxels_path: str,
-    tiles: str, tile_m: float, n_threads: int,
+    tiles: str, tile_m: float, n_threads: int, expected: dict,
 ) -> None:  # fmt: skip
     """
     Args:
@@ -24,9 +24,11 @@ def main(
         tiles: the group, such as `0of9`.
         tile_m: edge of a tile.
         n_threads: threads; the result does not depend on it.
+        expected: the settings the weights must have been made with (`c2cnn.Settings`; size_m is the grid's).
     """
-    grid = VoxelGrid.load(voxels_path)
-    predictions = label_voxels(load_network(*network_paths), grid, tile_m, *parse_tiles(tiles), n_threads)
+    grid, network = VoxelGrid.load(voxels_path), load_network(*network_paths)
+    check_same_settings(network.settings, Settings(size_m=grid.size_m, **expected), network_paths[0])
+    predictions = label_voxels(network, grid, tile_m, *parse_tiles(tiles), n_threads)
     with open_las_writer(labelled_map_path, read_crs(map_path)) as writer:
         for cloud in label_points(iterate_las(map_path), grid, *predictions):
             writer.write(cloud)

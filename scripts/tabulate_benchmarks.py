@@ -23,6 +23,8 @@ def main(inputs: Mapping, outputs: Mapping, evaluated: Pairs, trained: Pairs, vi
         facts: data set to its facts for Table 1.2.
         config: the resolved configuration, printed in the report; its `run` and `seed` name it.
     """
+    for folder in (outputs["tables"], outputs["figures"]):  # a run without truth has neither tables nor figures
+        Path(folder).mkdir(parents=True, exist_ok=True)
     files = zip(inputs["evaluations"], inputs["confusions"], evaluated, strict=True)
     evaluations = [scores.read_evaluation(*paths, *pair, config["seed"]) for *paths, pair in files]
     histories = {tuple(pair): pd.read_csv(path) for pair, path in zip(trained, inputs["histories"], strict=True)}

@@ -184,7 +184,8 @@ def check_facts(facts: dict, schema: dict, where: object) -> None:
         description = error.schema.get("properties", {}).get(missing, {}).get("description", "the template own_scan.yaml has it")
         raise BadInput(where, f"the key '{prefix}{missing}' is missing", f"add it ({description})")
     message = error.message if len(error.message) < 200 else f"{error.message[:200]}..."
-    raise BadInput(where, f"key '{place}': {message}", "mend the value; config/dataset.schema.yaml describes it")
+    description = error.schema.get("description")
+    raise BadInput(where, f"key '{place}': {message}", f"mend the value ({description})" if description else "mend the value")
 
 
 class _UniqueKeyLoader(yaml.SafeLoader):

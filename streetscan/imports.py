@@ -47,6 +47,8 @@ def import_map(dataset: Dataset, files: Sequence[str | Path], map_path: str | Pa
                 las.write(cloud)
                 labels_writer.write(labels)
                 counts += np.bincount(labels, minlength=256)
+            if counts.sum() == 1:
+                raise BadInput(files[0], "holds a single point, which is no map", "give the whole scan")
     shares = ", ".join(f"{name} {counts[i]}" for i, name in enumerate(NAMES) if counts[i])
     logger.info("%d points in all (%s): %s, unlabelled %d", counts.sum(), crs or "local frame", shares or "no class", counts[UNLABELLED])
     return counts

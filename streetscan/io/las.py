@@ -230,7 +230,8 @@ def _cloud_of_record(record: laspy.ScaleAwarePointRecord, crs: str | None, has_1
     if "red" in names:
         rgb = np.stack([np.asarray(record[c]) for c in ("red", "green", "blue")], axis=1)
         fields["rgb"] = (rgb >> 8 if has_16_bit_colour else rgb).astype(np.uint8)
-    wanted = {"classification"} | set(record.point_format.extra_dimension_names)
-    fields |= {name: np.asarray(record[name]) for name in wanted - _SKIPPED}
+    # In the file's order: a set's order changes from run to run, and with it the bytes of every file written from these fields.
+    wanted = ["classification", *record.point_format.extra_dimension_names]
+    fields |= {name: np.asarray(record[name]) for name in wanted if name not in _SKIPPED}
     points = np.stack([np.asarray(record.x), np.asarray(record.y), np.asarray(record.z)], axis=1)
     return PointCloud(points, fields, crs)

@@ -157,7 +157,8 @@ class C2CNN(nn.Module):
         """
         Args:
             settings: the network's shape.
-            seed: of the random initial weights (He's uniform, biases zero; the thesis only says random, N-023).
+            seed: of the random initial weights. The thesis only says random (N-023); ASSUME He's uniform with zero biases, the
+                output layer's a tenth of it so that training starts from even guesses.
         """
         super().__init__()
         self.settings = settings
@@ -170,6 +171,8 @@ class C2CNN(nn.Module):
         for layer in (*self.convolutions, self.hidden, self.output):
             nn.init.kaiming_uniform_(layer.weight, nonlinearity="relu", generator=generator)
             nn.init.zeros_(layer.bias)
+        with torch.no_grad():
+            self.output.weight.mul_(0.1)
 
     def forward(self, cubes: torch.Tensor, generator: torch.Generator | None = None) -> torch.Tensor:
         """Logits (B, 9) of cubes (B, C, K, K, K) float32, axes x, y, z. Drops units when a generator is given."""

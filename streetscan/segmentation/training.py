@@ -48,9 +48,11 @@ class Schedule:
         samples_per_epoch: samples drawn for an epoch (all where there are fewer).
         learning_rate: at the start.
         momentum: of SGD.
+        max_gradient: a batch's gradient is shortened to this length. ASSUME: the thesis names no limit; without normalisation
+            layers a few dense patches give steps so long that ReLUs die for good.
         lr_factor: the learning rate is multiplied by this when the validation accuracy stops rising (N-022).
         lr_patience: epochs without a better validation accuracy that are waited for.
-        patch_voxels: side of a patch, odd. ASSUME: 25 voxels, about one cube.
+        patch_voxels: side of a patch, odd.
         samples_per_patch: samples of a patch that enter a batch together. More is faster a sample and more alike.
         samples_per_batch: samples of a batch, from as many patches as that takes, drawn from the whole part, so that a batch is not one
             spot of the street.
@@ -60,14 +62,15 @@ class Schedule:
         seed: of initial weights, batches and dropout.
     """
 
-    n_epochs: int = 16
-    samples_per_epoch: int = 100_000
+    n_epochs: int = 12
+    samples_per_epoch: int = 200_000
     learning_rate: float = 0.05
     momentum: float = 0.9
+    max_gradient: float = 1.0
     lr_factor: float = 0.3
     lr_patience: int = 1
-    patch_voxels: int = 25
-    samples_per_patch: int = 32
+    patch_voxels: int = 15
+    samples_per_patch: int = 1000
     samples_per_batch: int = 512
     class_power: float = 0.0
     thinning: float = 1.0
@@ -83,6 +86,8 @@ class Schedule:
             raise BadInput(
                 "learning_rate", f"{self.learning_rate} with momentum {self.momentum}", "give a rate above 0, a momentum in [0, 1)"
             )
+        if not self.max_gradient > 0:
+            raise BadInput("max_gradient", f"{self.max_gradient} is not above 0", "give the longest gradient, such as 1")
         if not 0 < self.lr_factor < 1 or self.lr_patience < 0:
             raise BadInput(
                 "lr_factor", f"{self.lr_factor} with patience {self.lr_patience}", "give a factor in (0, 1), a patience of 0 or more"
@@ -389,6 +394,7 @@ def _run_epoch(
         n_samples = sum(len(run) for run in runs)
         for parameter, *gradients in zip(parameters, *(result[0] for result in results), strict=True):
             parameter.grad = sum(gradients) / n_samples
+        torch.nn.utils.clip_grad_norm_(parameters, schedule.max_gradient)
         optimizer.step()
         for result in results:
             tally.add(*result[1:])

@@ -12,6 +12,7 @@ import yaml
 from streetscan.classes import LABELS, UNLABELLED
 from streetscan.clouds import PointCloud
 from streetscan.datasets import load_dataset
+from streetscan.errors import BadInput
 from streetscan.io.las import read_las, write_las
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -209,12 +210,11 @@ def test_las_classification_may_be_the_truth(tmp_path):
     np.testing.assert_array_equal(labels, [0, 1, 255, 0])
 
 
-def test_one_point_is_a_map(tmp_path):
-    facts = ready_facts("city_mls")
+def test_one_point_is_no_map(tmp_path):
     (tmp_path / "a.txt").write_text("1 2 3 0 0 0 6\n")
-    cloud, labels = run(tmp_path, [tmp_path / "a.txt"], facts)
-    np.testing.assert_array_equal(cloud.points, [[1, 2, 3]])
-    assert labels.tolist() == [LABELS["vegetation"]]
+    with pytest.raises(BadInput, match=r"a\.txt: holds a single point"):
+        run(tmp_path, [tmp_path / "a.txt"], ready_facts("city_mls"))
+    assert not list(tmp_path.glob("**/map.laz"))
 
 
 @pytest.mark.parametrize("part", ["train", "validation", "test"])

@@ -22,9 +22,11 @@ def inputs(tiny_world, tiny_map, tmp_path):
     return {"map_path": tiny_map, "voxels_path": tmp_path / "voxels.npz", "network_paths": network_paths}
 
 
-def run(inputs, folder, tiles):
+def run(inputs, folder, tiles, expected=None):
+    expected = expected or {"k": 9, "n_hidden": 16}
     paths = folder / f"map_{tiles}.laz", folder / f"voxels_{tiles}.npz"
-    label_map.main(**inputs, labelled_map_path=paths[0], labelled_voxels_path=paths[1], tiles=tiles, tile_m=4.0, n_threads=1)
+    outputs = {"labelled_map_path": paths[0], "labelled_voxels_path": paths[1]}
+    label_map.main(**inputs, **outputs, tiles=tiles, tile_m=4.0, n_threads=1, expected=expected)
     return paths
 
 
@@ -55,4 +57,10 @@ def test_nothing_is_left_behind_when_weights_do_not_fit(inputs, tmp_path):
     save_network(C2CNN(Settings(size_m=0.1, k=9)), *inputs["network_paths"])
     with pytest.raises(BadInput, match="other settings"):
         run(inputs, tmp_path / "out", "0of1")
+    assert not (tmp_path / "out").exists()
+
+
+def test_weights_of_other_channels_than_the_model_has_are_refused(inputs, tmp_path):
+    with pytest.raises(BadInput, match="channels"):
+        run(inputs, tmp_path / "out", "0of1", {"k": 9, "n_hidden": 16, "channels": ["occupancy"]})
     assert not (tmp_path / "out").exists()

@@ -172,6 +172,7 @@ def test_a_loss_that_is_no_number_is_an_error(part, other_part):
         {"patch_voxels": 24},
         {"learning_rate": 0.0},
         {"momentum": 1.0},
+        {"max_gradient": 0.0},
         {"lr_factor": 1.0},
         {"thinning": 0.0},
         {"class_power": -1.0},

@@ -36,7 +36,8 @@ def write_scan(folder: Path, name: str, parts: dict[str, PointCloud], truth: str
     datasets.mkdir(exist_ok=True)
     (datasets / f"{name}.yaml").write_text(yaml.safe_dump(facts))
     path = folder / f"{name}.config.yaml"
-    path.write_text(yaml.safe_dump({"data_root": str(folder), "datasets_folder": str(datasets)} | config))
+    own = {"data_root": str(folder), "datasets_folder": str(datasets), "label_map": {"tile_m": 8}}
+    path.write_text(yaml.safe_dump(own | config))
     return TinyScan(name, path, folder)
 
 

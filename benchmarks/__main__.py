@@ -1,0 +1,44 @@
+"""`make bench`: every speed and memory figure, in one table. Ratios are pairs measured in the same run."""
+
+import argparse
+import logging
+from pathlib import Path
+
+import pandas as pd
+
+from benchmarks.bench_drives import bench_drives
+from benchmarks.bench_labelling import run_labelling_benchmark
+from benchmarks.bench_simulation import bench_simulation
+from streetscan.io.tables import save_tables
+
+COLUMNS = ["benchmark", "metric", "value", "unit", "peer", "n"]
+logger = logging.getLogger("streetscan.bench")
+
+
+def main() -> None:
+    """Run the benchmarks named on the command line, or all, and write results/bench.csv."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--data-root", default="../shared/data", help="folder with real recordings")
+    parser.add_argument("--output", default="results/bench.csv")
+    parser.add_argument("names", nargs="*", help="of simulation, labelling, drives; all by default")
+    arguments = parser.parse_args()
+    logging.basicConfig(level=logging.INFO, format="%(asctime)s %(message)s", datefmt="%H:%M:%S")
+    benchmarks = {
+        "simulation": bench_simulation,
+        "labelling": lambda: run_labelling_benchmark(arguments.data_root),
+        "drives": lambda: bench_drives(arguments.data_root),
+    }
+    chosen = arguments.names or list(benchmarks)
+    if unknown := set(chosen) - set(benchmarks):
+        parser.error(f"no benchmark named {', '.join(sorted(unknown))}; choose of {', '.join(benchmarks)}")
+    rows = []
+    for name in chosen:
+        logger.info("benchmark %s", name)
+        rows += benchmarks[name]()
+    table = pd.DataFrame(rows)[COLUMNS]
+    save_tables({Path(arguments.output): table})
+    print(table.to_string(index=False))
+
+
+if __name__ == "__main__":
+    main()

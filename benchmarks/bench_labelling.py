@@ -1,0 +1,185 @@
+"""How fast C²CNN labels and trains, against the same network cube by cube, and how time and memory grow with the map."""
+
+import json
+import resource
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import Executor
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch.nn.functional import cross_entropy
+
+from streetscan.segmentation.c2cnn import C2CNN, Settings, extract_cubes, input_channels
+from streetscan.segmentation.inference import label_voxels
+from streetscan.segmentation.sparse import open_workers, sparse_logits
+from streetscan.segmentation.training import Part, Samples
+from streetscan.voxels import VoxelGrid, voxelize
+
+ROOT = Path(__file__).resolve().parents[1]
+TILE_M = 12.8
+SEGMENT_M = 25.0
+# Points on a metre of the made-up street at the density of a mobile laser scan.
+POINTS_PER_M = 38_000
+N_CUBES = 512
+PATCH_VOXELS = 15
+N_THREADS = 2
+
+
+def run_labelling_benchmark(data_root: str | Path = ROOT.parent / "shared" / "data", sizes: tuple[int, ...] = (1, 4, 16)) -> list[dict]:
+    """Speed of labelling and training on a made-up dense street and on Oakland, and labelling of maps of several sizes.
+
+    The peer gets its cubes already cut out, so that only the network is compared.
+
+    Args:
+        data_root: folder of the recordings; Oakland is left out where it is missing.
+        sizes: millions of points of the maps whose labelling is timed, each in a process of its own.
+    Returns:
+        rows benchmark, metric, value, unit, peer, n. Ratios are pairs measured in turn in one run.
+    """
+    rows = _bench_grid("street", _street_grid(2_000_000))
+    oakland = Path(data_root) / "oakland" / "oakland_part2_ac.xyz_label_conf.xz"
+    if oakland.is_file():
+        rows += _bench_grid("oakland", _with_heights(voxelize([np.loadtxt(oakland, usecols=(0, 1, 2))], 0.1)))
+    for millions in sizes:
+        command = [sys.executable, "-m", "benchmarks.bench_labelling", str(millions)]
+        result = json.loads(subprocess.run(command, check=True, capture_output=True, text=True, cwd=ROOT).stdout)
+        name, n = f"label_{millions}m_points", result["n_points"]
+        rows += [
+            _row(name, "voxels", result["n_voxels"], "voxels", "", n),
+            _row(name, "time", result["time_s"], "s", "", n),
+            _row(name, "speed", n / result["time_s"], "points/s", "", n),
+            _row(name, "peak_memory", result["peak_mib"], "MiB", "", n),
+        ]
+    return rows
+
+
+def _bench_grid(name: str, grid: VoxelGrid) -> list[dict]:
+    settings = Settings()
+    network, rng = C2CNN(settings, seed=1).eval(), np.random.default_rng(0)
+    channels = input_channels(grid.counts, grid.height_m, settings)
+    picked = rng.choice(len(grid), N_CUBES, replace=False)
+    cubes = torch.from_numpy(extract_cubes(grid, channels, grid.keys[picked], np.zeros(N_CUBES, int), settings.k))
+    labels = torch.from_numpy(rng.integers(0, 9, N_CUBES))
+
+    predictions = label_voxels(network, grid, TILE_M)
+    ours_s = _best(lambda: label_voxels(network, grid, TILE_M, n_threads=N_THREADS))
+    with torch.inference_mode():
+        expected = network(cubes)
+        cubes_s = _best(lambda: network(cubes)) / N_CUBES * len(grid)
+        logits = sparse_logits(network, channels, grid.keys, grid.keys[picked])
+    scattered = _part(grid, picked, labels.numpy(), settings)
+    dense = _dense_part(grid, settings, rng)
+    with open_workers(N_THREADS) as workers:
+        scattered_s = _best(lambda: _step(network, scattered, workers)) / N_CUBES
+        dense_s = _best(lambda: _step(network, dense, workers)) / len(dense.samples)
+    cube_s = _best(lambda: cross_entropy(network(cubes), labels).backward()) / N_CUBES
+    n = len(grid)
+    is_equal = predictions[1][picked] == expected.argmax(1).numpy()
+    return [
+        _row(f"label_{name}", "speed", n / ours_s, "voxels/s", "", n),
+        _row(f"label_{name}", "speed", n / cubes_s, "voxels/s", "cube by cube", N_CUBES),
+        _row(f"label_{name}", "ratio", cubes_s / ours_s, "times as fast", "cube by cube", n),
+        _row(f"label_{name}", "equal_labels", is_equal.mean(), "share", "cube by cube", N_CUBES),
+        _row(f"label_{name}", "largest_difference", float((logits - expected).abs().max()), "logit", "cube by cube", N_CUBES),
+        _row(f"train_{name}", "scattered_speed", 1 / scattered_s, "samples/s", "", N_CUBES),
+        _row(f"train_{name}", "dense_speed", 1 / dense_s, "samples/s", "", len(dense.samples)),
+        _row(f"train_{name}", "speed", 1 / cube_s, "samples/s", "cube by cube", N_CUBES),
+        _row(f"train_{name}", "scattered_ratio", cube_s / scattered_s, "times as fast", "cube by cube", N_CUBES),
+        _row(f"train_{name}", "dense_ratio", cube_s / dense_s, "times as fast", "cube by cube", len(dense.samples)),
+    ]  # fmt: skip
+
+
+def _part(grid: VoxelGrid, rows: np.ndarray, labels: np.ndarray, settings: Settings) -> Part:
+    return Part(grid, Samples(grid.keys[rows], labels.astype(np.uint8), np.zeros(len(rows), np.uint8)), settings, PATCH_VOXELS)
+
+
+def _dense_part(grid: VoxelGrid, settings: Settings, rng: np.random.Generator, n_patches: int = 48, per_patch: int = 64) -> Part:
+    """Samples as a draw of many voxels gives them: up to `per_patch` in each of some patches."""
+    patch = np.unique(grid.keys // PATCH_VOXELS, axis=0, return_inverse=True)[1].reshape(-1)
+    chosen = np.unique(rng.choice(patch, n_patches))
+    rows = np.concatenate([rng.permutation(np.flatnonzero(patch == p))[:per_patch] for p in chosen])
+    return _part(grid, rows, rng.integers(0, 9, len(rows)), settings)
+
+
+def _step(network: C2CNN, part: Part, workers: Executor) -> None:
+    """Loss and gradients of all samples of a part, in as many shares as a training step takes."""
+    rng = np.random.default_rng(0)
+    runs = part.runs(1024, len(part.samples), rng)
+
+    def differentiate(share):
+        channels, coords, wanted, labels = part.batch(share, 1.0, rng)
+        loss = cross_entropy(sparse_logits(network, channels, coords, wanted), torch.from_numpy(labels))
+        return torch.autograd.grad(loss, list(network.parameters()))
+
+    list(workers.map(differentiate, [runs[k::8] for k in range(8)]))
+
+
+def _best(call: Callable, n_repeats: int = 3) -> float:
+    times = []
+    for _ in range(n_repeats + 1):
+        start = time.perf_counter()
+        call()
+        times.append(time.perf_counter() - start)
+    return min(times[1:])
+
+
+def _street(n_points: int) -> Iterator[np.ndarray]:
+    """A street of ground, two facades, cars, trees and posts, in segments."""
+    rng = np.random.default_rng(1)
+    per_m2 = POINTS_PER_M / 47
+    for i in range(max(1, round(n_points / (SEGMENT_M * POINTS_PER_M)))):
+        ground = rng.random((int(SEGMENT_M * 20 * per_m2), 3)) * [SEGMENT_M, 20, 0] + rng.normal(0, 0.01, (int(SEGMENT_M * 20 * per_m2), 3))
+        facades = []
+        for y in (0.0, 20.0):
+            wall = rng.random((int(SEGMENT_M * 12 * per_m2), 3)) * [SEGMENT_M, 0, 12]
+            wall[:, 1] = y + rng.normal(0, 0.02, len(wall)) + 0.15 * ((wall[:, 0] % 4 < 1.5) & (wall[:, 2] % 3 > 1))
+            facades.append(wall)
+        things = []
+        for x in np.arange(3, SEGMENT_M - 5, 7.0):
+            car, side = rng.random((int(25 * per_m2), 3)) * [4.5, 1.8, 1.4], rng.integers(0, 5, int(25 * per_m2))
+            for axis, (near, far) in enumerate(((0, 1), (2, 3))):
+                car[side == near, axis], car[side == far, axis] = 0, (4.5, 1.8)[axis]
+            car[side == 4, 2] = 1.4
+            things.append(car + np.array([x, 4, 0.1]))
+        for x in (6.0, 18.0):
+            leaves = rng.normal(size=(int(120 * per_m2), 3))
+            leaves *= 2 * (rng.random(len(leaves)) ** 0.4 / np.linalg.norm(leaves, axis=1))[:, None]
+            angle = 2 * np.pi * rng.random(int(4 * per_m2))
+            things += [
+                leaves + np.array([x, 16, 5]),
+                np.c_[x + 0.15 * np.cos(angle), 16 + 0.15 * np.sin(angle), 4 * rng.random(len(angle))],
+            ]
+        yield np.concatenate([ground, *facades, *things]) + np.array([i * SEGMENT_M, 0, 0])
+
+
+def _street_grid(n_points: int) -> VoxelGrid:
+    return _with_heights(voxelize(_street(n_points), 0.1))
+
+
+def _with_heights(grid: VoxelGrid) -> VoxelGrid:
+    grid.height_m = (grid.mean_z_m - np.percentile(grid.mean_z_m, 5)).astype(np.float32)
+    return grid
+
+
+def _row(benchmark: str, metric: str, value: float, unit: str, peer: str, n: int) -> dict:
+    return {"benchmark": benchmark, "metric": metric, "value": float(value), "unit": unit, "peer": peer, "n": int(n)}
+
+
+def _label_size(millions: float) -> dict:
+    """Label a street of so many million points; run in a process of its own for its peak memory."""
+    grid = _street_grid(int(millions * 1e6))
+    network = C2CNN(Settings(), seed=1).eval()
+    label_voxels(network, grid.select(np.arange(len(grid)) < 20_000), TILE_M)
+    start = time.perf_counter()
+    label_voxels(network, grid, TILE_M, n_threads=N_THREADS)
+    time_s = time.perf_counter() - start
+    peak_mib = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    return {"n_points": int(grid.counts.sum()), "n_voxels": len(grid), "time_s": time_s, "peak_mib": peak_mib}
+
+
+if __name__ == "__main__":
+    print(json.dumps(_label_size(float(sys.argv[1]))))

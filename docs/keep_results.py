@@ -1,0 +1,58 @@
+"""Keep what a run and `make bench` measured in docs/results/: scores, tables, report, command, commit, hardware."""
+
+import argparse
+import os
+import platform
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import pandas as pd
+import yaml
+
+HOME = Path(__file__).resolve().parent.parent
+KEPT = HOME / "docs" / "results"
+MAX_BYTES = 5_000_000
+
+
+def describe_hardware() -> str:
+    """Processor, cores and memory of this machine."""
+    cpu = re.search(r"model name\s*:\s*(.*)", Path("/proc/cpuinfo").read_text())
+    memory_kb = int(re.search(r"MemTotal:\s*(\d+)", Path("/proc/meminfo").read_text())[1])
+    return f"{cpu[1] if cpu else platform.machine()}, {os.cpu_count()} cores, {memory_kb / 2**20:.0f} GiB, no GPU used"
+
+
+def is_simulated(scores: Path) -> bool:
+    """Whether every data set of a table of scores is simulated: pictures of real recordings stay out of the repository."""
+    names = pd.read_csv(scores)["dataset"].dropna().unique()
+    files = [HOME / "config/datasets" / f"{name}.yaml" for name in names]
+    return all(yaml.safe_load(path.read_text())["source"] == "simulate" for path in files if path.is_file())
+
+
+def main() -> None:
+    """Copy the runs named on the command line (all finished ones by default), and bench.csv where there is one."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("runs", nargs="*")
+    arguments = parser.parse_args()
+    finished = sorted(p.parent.name for p in (HOME / "results/tabulate_benchmarks").glob("*/report.html"))
+    commit = subprocess.run(["git", "rev-parse", "HEAD"], cwd=HOME, check=True, capture_output=True, text=True).stdout.strip()
+    for run in arguments.runs or finished:
+        source, target = HOME / "results/tabulate_benchmarks" / run, KEPT / run
+        shutil.rmtree(target, ignore_errors=True)
+        target.mkdir(parents=True)
+        shutil.copy(source / "scores.csv", target)
+        shutil.copytree(source / "tables", target / "tables")
+        if is_simulated(source / "scores.csv") and (source / "report.html").stat().st_size < MAX_BYTES:
+            shutil.copy(source / "report.html", target)
+        config = "default" if run == "default" else run
+        lines = [f"command: make run CONFIG=config/{config}.yaml", f"commit: {commit}", f"hardware: {describe_hardware()}"]
+        (target / "run.txt").write_text("\n".join(lines) + "\n")
+        print(f"kept run {run}")
+    if (HOME / "results/bench.csv").is_file():
+        shutil.copy(HOME / "results/bench.csv", KEPT)
+        (KEPT / "bench.txt").write_text(f"command: make bench\ncommit: {commit}\nhardware: {describe_hardware()}\n")
+
+
+if __name__ == "__main__":
+    main()

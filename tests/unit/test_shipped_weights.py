@@ -1,0 +1,46 @@
+"""The weights in weights/c2cnn/ fit the code and the default settings, and know a street when they see one."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from streetscan.classes import FACADE, GROUND
+from streetscan.segmentation.c2cnn import Settings, check_same_settings, load_network
+from streetscan.segmentation.ground import add_heights
+from streetscan.segmentation.inference import label_voxels
+from streetscan.simulation.colouring import Cameras
+from streetscan.simulation.receiver import Receiver
+from streetscan.simulation.recording import Errors, record_street
+from streetscan.simulation.sensors import mobile_mapper
+from streetscan.voxels import voxelize
+
+HOME = Path(__file__).resolve().parents[2]
+FOLDER = HOME / "weights" / "c2cnn"
+
+
+@pytest.fixture(scope="module")
+def network():
+    return load_network(FOLDER / "weights.safetensors", FOLDER / "settings.yaml")
+
+
+def test_settings_are_the_defaults(network):
+    config = yaml.safe_load((HOME / "config" / "default.yaml").read_text())
+    wanted = config["train_segmenter"]["network"] | {"channels": config["models"]["c2cnn_shipped"]["channels"]}
+    check_same_settings(network.settings, Settings(size_m=config["voxelize_map"]["size_m"], **wanted), FOLDER)
+
+
+def test_a_simulated_street_is_recognised(network):
+    """A street no network is trained or chosen on; the pulse rate is the city's own, the street shorter."""
+    scanners = mobile_mapper(lines_per_s=100, pulses_per_s=140_000)
+    records = list(record_street("all", 3, {"length_m": 20.0}, scanners, Receiver(), Cameras(), Errors(), 1))
+    points = np.concatenate([record.cloud.points for record in records])
+    truth = np.concatenate([record.labels for record in records])
+    grid = add_heights(voxelize([points], 0.1), cell_m=0.5, max_object_m=20.0, max_slope=0.15, step_m=0.2, min_patch_m2=4.0)
+    _, labels, confidence = label_voxels(network, grid, 40.0)
+    of_points = labels[grid.find(grid.keys_of(points))]
+    for label in (GROUND, FACADE):
+        assert (of_points[truth == label] == label).mean() > 0.6
+    assert (of_points == truth).mean() > 0.6
+    assert np.isfinite(confidence).all()
