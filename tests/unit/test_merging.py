@@ -32,14 +32,14 @@ def posed(index, T, segment=0):
 
 @pytest.fixture(scope="module")
 def street():
-    """Eight frames of a street with parked cars, and one car that drives ahead at 3 m/s, faster than the recording one."""
+    """Eight frames of a street with parked cars, and one car that drives ahead of the recording one, away from it."""
     rng, boxes = np.random.default_rng(0), street_boxes()
     frames, poses = [], {}
     for i in range(8):
-        T = pose(0.5 * i)
-        x = 8 + 2.5 * i
+        T = pose(0.2 * i)
+        x = 5 + 3.0 * i
         car = np.array([[x, -0.9, 0.25, x + 4.2, 0.9, 1.45]])
-        points, _ = scan(T, np.concatenate([boxes, car]), rng)
+        points, _ = scan(T, np.concatenate([boxes, car]), rng, n_beams=64, n_azimuths=400)
         frames.append(MergeFrame(i, i * PERIOD_S, points, segment_frame(points, 1.8), None, np.full(len(points), 0.5)))
         poses[i] = posed(i, invert(pose(0)) @ T)
     return frames, poses
@@ -92,17 +92,18 @@ def test_thinning_keeps_one_point_per_cube(street, tmp_path):
 
 def test_what_moves_is_told_from_what_stands(street, tmp_path):
     frames, poses = street
-    merge_frames(reader(frames), poses, tmp_path / "keep", tmp_path / "w", SETTINGS)
-    merge_frames(reader(frames), poses, tmp_path / "out", tmp_path / "w", replace(SETTINGS, moving="leave_out"))
+    settings = replace(SETTINGS, raster_m=0.5)
+    merge_frames(reader(frames), poses, tmp_path / "keep", tmp_path / "w", settings)
+    merge_frames(reader(frames), poses, tmp_path / "out", tmp_path / "w", replace(settings, moving="leave_out"))
     clouds, points = read_tiles(tmp_path / "keep")
     moving = np.concatenate([c.fields["is_moving"] for c in clouds.values()])
     labels = np.concatenate([c.fields["grid_class"] for c in clouds.values()])
     z = points[:, 2] + 1.8
     body = (labels == SHORT_OBJECT) & (z > 0.3)
-    # The lane between the two ends of the run was seen before the car came or after it had left.
-    lane = body & (np.abs(points[:, 1]) < 1.1) & (points[:, 0] > 10) & (points[:, 0] < 22)
+    # This piece of the lane was looked at after the car had left it.
+    lane = body & (np.abs(points[:, 1]) < 1.1) & (points[:, 0] > 5) & (points[:, 0] < 10)
     parked = body & (np.abs(points[:, 1]) > 4) & (np.abs(points[:, 1]) < 6) & (np.abs(points[:, 0]) < 25)
-    assert lane.sum() > 500
+    assert lane.sum() > 200
     assert moving[lane].mean() > 0.7
     assert moving[parked].mean() < 0.05
     _, left = read_tiles(tmp_path / "out")
