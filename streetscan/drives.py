@@ -5,6 +5,7 @@ Truth stays apart: the drive's MCAP holds neither labels, nor true poses, nor th
 
 import csv
 import logging
+from bisect import bisect_left
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -23,6 +24,7 @@ from streetscan.io import folders, kitti, range_images, trajectories
 from streetscan.io.arrays import save_npy
 from streetscan.io.atomic import atomic_folder, atomic_path
 from streetscan.io.files import read_yaml
+from streetscan.io.images import image_size
 from streetscan.io.mcap import open_drive_writer
 from streetscan.io.pcap import PacketDecoder, iterate_pcap
 from streetscan.io.point_columns import LidarConventions
@@ -33,6 +35,7 @@ Record = LidarFrame | CameraImage | GpsFix | CameraModel
 FRAME_COLUMNS = (
     "frame", "number", "time_s", "status", "n_points", "n_dropped", "first_offset_s", "last_offset_s", "image_time_s", "image_status",
 )  # fmt: skip
+_STATUS = FRAME_COLUMNS.index("status")
 _NS = 1_000_000_000
 
 
@@ -205,7 +208,13 @@ class Recording:
             topics += [facts.camera.info_topic] if facts.camera is not None and facts.camera.info_topic else []
             converter = MessageConverter(self.path, facts.conventions, self._packet_decoder() if facts.lidar.model else None)
             iterate = iterate_bag if facts.reader == "bag" else iterate_ros_mcap
+            expected = [LidarFrame]
+            expected += [CameraImage, CameraModel] if facts.camera is not None else []
+            expected += [GpsFix] if facts.gps is not None else []
             for record in iterate(self.path, tuple(topics), converter):
+                if type(record) not in expected:
+                    found = f"topics {', '.join(topics)} hold a {type(record).__name__}, for which {facts.where} has no section"
+                    raise BadInput(self.path, found, "name topics of points, of images and of fixes in their sections")
                 if isinstance(record, CameraImage):
                     record.time_ns += nanoseconds(facts.camera.stamp_offset_s)
                 yield record
@@ -234,17 +243,21 @@ class Recording:
     def _iterate_folder(self) -> Iterator[LidarFrame | CameraImage]:
         facts, lidar, camera = self.facts, self.facts.lidar, self.facts.camera
         stamps = partial(folders.stamps_of, self.root, rate_hz=facts.rate_hz, start_ns=nanoseconds(facts.start_time_s))
-        scan_paths = folders.list_files(self.root, lidar.files, "lidar.files")
-        scans = folders.NumberedFiles(scan_paths, stamps(lidar.times, scan_paths))
+        named = folders.list_files(self.root, lidar.files, "lidar.files")
+        scan_paths = folders.count_frames(named, "lidar.files", lidar.times == "file_names")
+        scans = folders.NumberedFiles(scan_paths, *stamps(lidar.times, scan_paths))
         images = None
         if camera is not None:
+            times = camera.times if camera.times is not None else lidar.times
             paths = folders.list_files(self.root, camera.files, "camera.files")
-            times = camera.times if camera.times is not None else None
-            of_image = stamps(times, paths) if times is not None or lidar.times is None else stamps(lidar.times, paths)
+            paths = folders.count_frames(paths, "camera.files", times == "file_names")
+            of_image, _ = stamps(times, paths)
             images = folders.NumberedFiles(paths, lambda number: of_image(number) + nanoseconds(camera.stamp_offset_s))
         labels = {}
         if facts.truth.labels:
             labels = folders.list_files(self.root, facts.truth.labels["files"], "truth.labels.files")
+            # Where scans are named by their times, the labels of a scan bear its time.
+            labels = labels if scan_paths is named else {i: labels[n] for i, n in enumerate(named) if n in labels}
         layout = None if lidar.layout is None else range_images.read_layout(self.root / lidar.layout)
         read = folders.scan_reader(lidar.files, facts.conventions, layout, self._halves())
         yield from folders.iterate_folder(scans, images, labels, read, None if facts.frames is None else list(facts.frames))
@@ -306,10 +319,10 @@ class Recording:
             return None
         if gps.format == "csv":
             return kitti.read_gnss_csv(self.root / gps.files)
-        paths = kitti.list_oxts(self.root / gps.files)
-        numbered = dict(enumerate(paths))
-        stamp = folders.stamps_of(self.root, gps.times, numbered, self.facts.rate_hz, nanoseconds(self.facts.start_time_s))
-        return kitti.read_oxts(paths, np.array([stamp(n) for n in numbered], np.int64))
+        # A file's number is its row in the list of times: a missing file must not move the fixes after it.
+        numbered = folders.list_files(self.root, f"{gps.files}/*.txt", "gps.files")
+        stamp, _ = folders.stamps_of(self.root, gps.times, numbered, self.facts.rate_hz, nanoseconds(self.facts.start_time_s))
+        return kitti.read_oxts(list(numbered.values()), np.array([stamp(n) for n in numbered], np.int64))
 
     def _read_poses(self) -> tuple[np.ndarray | None, np.ndarray] | None:
         """Times (None: row n is frame number n) and T_map_lidar of the true poses."""
@@ -357,7 +370,7 @@ def import_drive(recording: Recording, name: str, mcap_path: str | Path, frames_
         BadInput: the recording cannot be read, or not one of its frames is usable.
     """
     table = _FrameTable(recording.facts)
-    n_fixes = 0
+    n_fixes, model = 0, recording.camera_model
     with atomic_folder(truth_folder) as truth, open_drive_writer(mcap_path) as writer:
         is_open = False
         for record in recording.records():
@@ -374,6 +387,8 @@ def import_drive(recording: Recording, name: str, mcap_path: str | Path, frames_
                     if record.labels is not None:
                         save_npy(truth / "labels" / f"{table.n_frames - 1:06d}.npy", record.labels)
                 case CameraImage():
+                    if record.status == "ok" and model is not None and model.width and image_size(record) != (model.width, model.height):
+                        record.status = "other_size"
                     table.add_image(record)
                     if record.status == "ok":
                         writer.write_image(record)
@@ -381,7 +396,9 @@ def import_drive(recording: Recording, name: str, mcap_path: str | Path, frames_
                     n_fixes += 1
                     writer.write_fix(record)
                 case CameraModel():
+                    model = record
                     writer.write_calibration(record, 0 if not table.n_frames else table.last_time_ns)
+        table.mark_order()
         counts = table.counts
         if not counts["ok"] + counts["partial"]:
             found = ", ".join(f"{n} {status}" for status, n in counts.items()) or "no frame"
@@ -408,6 +425,7 @@ class _FrameTable:
         self.counts: Counter = Counter()
         self.last_time_ns = -(2**62)
         self.time_ns: list[int] = []
+        self.n_unlabelled = 0
         self.image_ns: list[int] = []
         self.image_status: list[str] = []
 
@@ -416,8 +434,6 @@ class _FrameTable:
         return len(self.rows)
 
     def add_frame(self, frame: LidarFrame, pose: np.ndarray | None) -> None:
-        if frame.time_ns <= self.last_time_ns and frame.status in ("ok", "partial"):
-            frame.status = "time_backwards"
         self.last_time_ns = max(self.last_time_ns, frame.time_ns)
         assert frame.status in STATUSES
         self.counts[frame.status] += 1
@@ -425,8 +441,18 @@ class _FrameTable:
         ends = ("nan", "nan") if offsets is None or not len(offsets) else (f"{offsets.min():.6f}", f"{offsets.max():.6f}")
         self.rows.append([self.n_frames, frame.number, _seconds_text(frame.time_ns), frame.status, len(frame), frame.n_dropped, *ends])
         self.time_ns.append(frame.time_ns)
+        self.n_unlabelled += len(frame) > 0 and frame.labels is None
         if pose is not None:
             self.poses.append(pose)
+
+    def mark_order(self) -> None:
+        """Mark the fewest frames whose stamps are out of order, so one wrong stamp does not condemn all that follow."""
+        for row, is_good in zip(self.rows, _in_order(self.time_ns), strict=True):
+            if not is_good and row[_STATUS] in ("ok", "partial"):
+                self.counts[row[_STATUS]] -= 1
+                row[_STATUS] = "time_backwards"
+                self.counts["time_backwards"] += 1
+        self.counts = +self.counts
 
     def add_image(self, image: CameraImage) -> None:
         self.image_ns.append(image.time_ns)
@@ -460,6 +486,22 @@ class _FrameTable:
     @property
     def n_frames_without_image(self) -> int:
         return sum(status != "ok" for _, status in self._images_of_frames())
+
+
+def _in_order(times_ns: list[int]) -> list[bool]:
+    """Which of the times belong to the longest sequence that increases; of several the one whose times come first."""
+    # Patience sorting from the back: ends[k] is the best start of a sequence of k + 1 times, negated.
+    ends, holders, following = [], [], [-1] * len(times_ns)
+    for i in reversed(range(len(times_ns))):
+        k = bisect_left(ends, -times_ns[i])
+        following[i] = holders[k - 1] if k else -1
+        ends[k : k + 1], holders[k : k + 1] = [-times_ns[i]], [i]
+    is_good = [False] * len(times_ns)
+    i = holders[-1] if holders else -1
+    while i >= 0:
+        is_good[i] = True
+        i = following[i]
+    return is_good
 
 
 def _seconds_text(time_ns: int) -> str:
@@ -500,6 +542,10 @@ def _log_summary(recording: Recording, table: _FrameTable, n_fixes: int) -> None
     n_dropped = sum(row[5] for row in table.rows)
     if n_dropped:
         logger.info("%d returns without finite coordinates were left out", n_dropped)
+    if recording.facts.truth.labels and table.n_unlabelled:
+        logger.warning("%d of %d frames hold points and have no true labels", table.n_unlabelled, table.n_frames)
+    if n_other := table.image_status.count("other_size"):
+        logger.warning("%d images are of another size than the camera's calibration and were left out", n_other)
     if recording.facts.camera is not None and table.n_frames_without_image:
         logger.warning("%d of %d frames have no image", table.n_frames_without_image, table.n_frames)
     if not n_fixes:

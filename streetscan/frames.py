@@ -15,7 +15,7 @@ STATUSES = {
     "truncated": "the record ends too early",
     "unreadable": "the record cannot be decoded",
     "missing": "the numbering or the list of times has the frame, no record exists",
-    "time_backwards": "its stamp is not later than the stamp of the frame before",
+    "time_backwards": "its stamp is out of the order of the other frames",
     "labels_do_not_fit": "the number of true labels differs from the number of points",
 }
 
@@ -72,7 +72,11 @@ class LidarFrame:
 
 @dataclass
 class CameraImage:
-    """One compressed image; `time_ns` is the middle of its exposure, `format` is `png` or `jpeg`, status ok, missing or unreadable."""
+    """One compressed image.
+
+    `time_ns` is the middle of its exposure, `format` is `png` or `jpeg`, status `ok`, `missing`, `unreadable`, or `other_size`
+    than its calibration.
+    """
 
     time_ns: int
     data: bytes

@@ -1,5 +1,6 @@
 """Drives written in other people's formats, and what each of them cannot hold."""
 
+import csv
 import shutil
 from collections.abc import Iterable
 from pathlib import Path
@@ -11,7 +12,7 @@ from streetscan.frames import CameraImage, CameraModel, GpsFix, LidarFrame, Moun
 from streetscan.io import kitti, trajectories
 from streetscan.io.arrays import load_npy
 from streetscan.io.atomic import atomic_folder, atomic_path
-from streetscan.io.files import read_yaml
+from streetscan.io.files import read_text, read_yaml
 from streetscan.io.images import decode_image, encode_png
 from streetscan.io.mcap import iterate_drive, open_drive_writer
 from streetscan.io.pcd_sequence import write_pcd_frame
@@ -34,6 +35,7 @@ KEPT = {
         "ring": "field ring",
         "firing times": "field time_offset_s",
         "stamps": "times.txt, Unix seconds",
+        "date": "times.txt",
     },
     "mcap": {
         "points": "/lidar",
@@ -41,6 +43,7 @@ KEPT = {
         "ring": "/lidar",
         "firing times": "/lidar, time_offset_s",
         "stamps": "/lidar",
+        "date": "/lidar",
         "images": "/camera/image",
         "intrinsics": "/camera/calibration",
         "distortion": "/camera/calibration",
@@ -48,10 +51,11 @@ KEPT = {
         "mounting": "/tf",
     },
 }
+# "date" is when the first frame was taken, "frame status" that of the frames that are not `ok` in the frames.csv beside the drive;
 # "further images" are those a format with one image per frame has no number for.
 CONTENTS = (
     "points", "intensity", "ring", "firing times", "stamps", "images", "image stamps", "intrinsics", "distortion", "gps", "mounting",
-    "true poses", "true labels", "true extrinsics", "further images",
+    "true poses", "true labels", "true extrinsics", "further images", "date", "frame status",
 )  # fmt: skip
 # MCAP keeps the stamp of every image of its own.
 KEPT["mcap"]["image stamps"] = "/camera/image"
@@ -80,7 +84,16 @@ def export_drive(
     records = _counted(_in_range(iterate_drive(mcap_path), frames), present, mcap_path)
     truth = None if truth_folder is None else _Truth(Path(truth_folder), present)
     writers[format](records, Path(output), truth, present)
+    present["frame status"] = _count_not_ok(Path(mcap_path).with_name("frames.csv"), frames)
     return {name: n for name, n in present.items() if n and name not in KEPT[format]}
+
+
+def _count_not_ok(table: Path, frames: range | None) -> int:
+    """Frames of the range that are not `ok`; 0 without a table."""
+    if not table.is_file():
+        return 0
+    rows = csv.DictReader(read_text(table).splitlines())
+    return sum(row.get("status") != "ok" for i, row in enumerate(rows) if frames is None or i in frames)
 
 
 def format_losses(format: str, dropped: dict[str, int]) -> str:
@@ -133,7 +146,7 @@ def _counted(records: Iterable, present: dict[str, int], where: str | Path) -> I
     for record in records:
         match record:
             case LidarFrame():
-                names = ["points", "stamps"]
+                names = ["points", "stamps", "date"]
                 names += [
                     n
                     for n, v in (("intensity", record.intensity), ("ring", record.ring), ("firing times", record.time_offset_s))

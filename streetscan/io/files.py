@@ -2,7 +2,7 @@
 
 import lzma
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import yaml
 
@@ -16,6 +16,17 @@ def find_file(path: str | Path) -> Path:
         if candidate.is_file():
             return candidate
     raise BadInput(path, "no such file", "check the drive's file and data_root")
+
+
+def open_binary(path: str | Path) -> BinaryIO:
+    """The file opened for reading bytes. BadInput when it is missing, no file, or must not be read."""
+    path = Path(path)
+    try:
+        if not path.is_file():
+            raise BadInput(path, "no such file", "check the drive's file and data_root")
+        return path.open("rb")
+    except OSError as error:
+        raise BadInput(path, f"cannot be read ({error.strerror or error})", "check who may read it, or copy it again") from error
 
 
 def read_bytes(path: str | Path) -> bytes:

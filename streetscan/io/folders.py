@@ -20,8 +20,10 @@ from streetscan.sweeps import azimuth_offsets, azimuths_of
 
 logger = logging.getLogger(__name__)
 
-# ASSUME: a numbering that is this many times longer than the list of files is no count of frames (file names that are times).
-_SPARSE = 100
+# ASSUME: nobody counts a billion frames; such a number in a name is a time (Unix seconds or finer).
+_FIRST_TIME = 10**9
+# ASSUME: a numbering with more gaps than this is no count of frames, for instance milliseconds of the day.
+_MOST_MISSING = 1_000_000
 
 
 @dataclass(frozen=True)
@@ -31,23 +33,30 @@ class NumberedFiles:
     Attributes:
         paths: number to path, ascending.
         time_ns: stamp of a number.
+        n_listed: rows of the list of times, each of which is a frame; None without a list.
     """
 
     paths: dict[int, Path]
     time_ns: Callable[[int], int]
+    n_listed: int | None = None
 
 
 def list_files(root: Path, pattern: str, key: str) -> dict[int, Path]:
-    """The files a pattern finds below the root, by the last number in their names; ordinal numbers when those are no count of frames.
+    """The files a pattern finds below the root, by the last number in their names, ascending.
 
     Args:
         root: the recording's folder.
         pattern: like `velodyne_points/data/*.bin`; `.xz` files are found too.
         key: the key of the drive's file the pattern comes from, named in errors.
     Raises:
-        BadInput: no file found, a name without number, or one number twice.
+        BadInput: no pattern below the root, no file found, a name without number, or one number twice.
     """
-    paths = sorted([*root.glob(pattern), *root.glob(pattern + ".xz")])
+    try:
+        paths = sorted([*root.glob(pattern), *root.glob(pattern + ".xz")])
+    # pathlib refuses absolute patterns and `**` within a name.
+    except (NotImplementedError, ValueError) as error:
+        remedy = f"write {key} relative to root, like folder/*.bin, or **/*.bin for all folders"
+        raise BadInput(root, f"the pattern '{pattern}' finds nothing ({error})", remedy) from error
     if not paths:
         raise BadInput(root, f"holds no file '{pattern}'", f"is it the right data set? correct root or {key} in the drive's file")
     numbers = []
@@ -56,16 +65,35 @@ def list_files(root: Path, pattern: str, key: str) -> dict[int, Path]:
         if not digits:
             raise BadInput(path, "has no number in its name", f"number the files that {key} finds")
         numbers.append(int(digits[-1]))
-    if numbers[-1] - numbers[0] + 1 > _SPARSE * len(numbers):
-        return dict(enumerate(paths))
     files = dict(sorted(zip(numbers, paths, strict=True)))
     if len(files) < len(paths):
         raise BadInput(root, f"{len(paths) - len(files)} files of '{pattern}' share a number with another", f"correct {key}")
     return files
 
 
-def stamps_of(root: Path, times: str | None, files: dict[int, Path], rate_hz: float, start_ns: int) -> Callable[[int], int]:
-    """The stamp of each frame number.
+def count_frames(files: dict[int, Path], key: str, are_times: bool) -> dict[int, Path]:
+    """Files by the number of their frame: the number in the name, or the place in the order of time where names are times.
+
+    Args:
+        files: by the numbers in their names, ascending.
+        key: the key of the drive's file, named in errors.
+        are_times: the names are said to be times; names that can be nothing else are taken for times anyway.
+    Raises:
+        BadInput: numbers that are neither a count of frames nor times.
+    """
+    first, last = min(files), max(files)
+    if are_times or first >= _FIRST_TIME:
+        return dict(enumerate(files.values()))
+    if last - first - len(files) > _MOST_MISSING:
+        found = f"{len(files)} files of {key} are numbered {first} to {last}, which is no count of frames"
+        raise BadInput(files[first].parent, found, "number the files 0, 1, 2, ..., or name them by nanoseconds")
+    return files
+
+
+def stamps_of(
+    root: Path, times: str | None, files: dict[int, Path], rate_hz: float, start_ns: int
+) -> tuple[Callable[[int], int], int | None]:
+    """The stamp of each frame number, and how many rows the list of times has (None without a list).
 
     Args:
         root: the recording's folder.
@@ -77,16 +105,22 @@ def stamps_of(root: Path, times: str | None, files: dict[int, Path], rate_hz: fl
         BadInput: the list is shorter than the numbers of the files, or a name is no time.
     """
     if times is None:
-        return lambda number: start_ns + nanoseconds(number / rate_hz)
+        return lambda number: start_ns + nanoseconds(number / rate_hz), None
     if times == "file_names":
         stamps = {number: int(re.findall(r"\d+", path.name.split(".")[0])[-1]) for number, path in files.items()}
-        return lambda number: stamps[number]
+        return partial(_stamp, stamps, root), None
     listed = kitti.read_times(root / times)
     if max(files) >= len(listed):
         raise BadInput(
             root / times, f"lists {len(listed)} times, but there is a file number {max(files)}", "give the list of this recording"
         )
-    return lambda number: int(listed[number])
+    return partial(_stamp, dict(enumerate(listed.tolist())), root / times), len(listed)
+
+
+def _stamp(stamps: dict[int, int], where: Path, number: int) -> int:
+    if number not in stamps:
+        raise BadInput(where, f"holds no time for frame {number}", "give the list of this recording, or correct `frames`")
+    return stamps[number]
 
 
 def iterate_folder(
@@ -99,13 +133,19 @@ def iterate_folder(
     """The frames of a folder by ascending number: each number's image, then its lidar frame.
 
     Args:
-        lidar: scans and their stamps. A number between the first and the last without a file becomes a frame of status `missing`.
+        lidar: scans and their stamps. A number between the first and the last, or a row of the list of times, without a file
+            becomes a frame of status `missing`.
         images: images likewise, or None.
         labels: true labels of some frames.
         read: a path and its stamp to a frame.
         numbers: only these numbers; None: all.
     """
-    wanted = numbers if numbers is not None else range(min(lidar.paths), max(lidar.paths) + 1)
+    wanted = numbers
+    if wanted is None:
+        wanted = range(min(lidar.paths), max(lidar.paths) + 1) if lidar.n_listed is None else range(lidar.n_listed)
+        n_missing = len(wanted) - len(lidar.paths)
+        if 2 * n_missing > len(wanted):
+            logger.warning("%d of %d frames have no scan; for a part of a recording name the part in `frames`", n_missing, len(wanted))
     extra = set() if images is None or numbers is not None else set(images.paths)
     for number in sorted({*wanted, *extra}):
         if images is not None and number in images.paths:

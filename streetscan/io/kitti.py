@@ -12,9 +12,13 @@ import pandas as pd
 from streetscan import geometry
 from streetscan.errors import BadInput
 from streetscan.frames import BadRecord, CameraModel
-from streetscan.io.files import find_file, read_bytes, read_text
+from streetscan.io.files import read_bytes, read_text
 
 _POINT_BYTES = 16
+# ASSUME: no street scanner sees further. A scan with more than this share of points beyond, or with negative reflectances, holds
+# something else: another number of columns, or no floating point numbers at all.
+_FURTHEST_M = 1000.0
+_MOST_IMPLAUSIBLE = 0.01
 _NS = 1_000_000_000
 
 
@@ -22,7 +26,7 @@ def read_scan(path: str | Path) -> tuple[np.ndarray, np.ndarray]:
     """Points (N, 3) float32, metres, frame `lidar`, and reflectances (N,) float32, 0..1, of a `.bin` or `.bin.xz` scan.
 
     Raises:
-        BadRecord: the file ends within a point (`truncated`) or cannot be decompressed (`unreadable`).
+        BadRecord: the file ends within a point (`truncated`), cannot be decompressed or holds no four-column scan (`unreadable`).
     """
     path = Path(path)
     try:
@@ -33,6 +37,11 @@ def read_scan(path: str | Path) -> tuple[np.ndarray, np.ndarray]:
     if n_bytes % _POINT_BYTES:
         raise BadRecord("truncated", f"{path} has {n_bytes} bytes, no multiple of {_POINT_BYTES}")
     scan = scan.view(np.float32).reshape(-1, 4)
+    with np.errstate(invalid="ignore"):
+        n_wrong = max(np.count_nonzero(np.abs(scan[:, :3]) > _FURTHEST_M), np.count_nonzero(scan[:, 3] < 0))
+    if n_wrong > _MOST_IMPLAUSIBLE * len(scan):
+        reason = f"{n_wrong} of {len(scan)} points are beyond {_FURTHEST_M:.0f} m or have a negative reflectance"
+        raise BadRecord("unreadable", f"{path} is no scan of x, y, z, reflectance as float32: {reason}")
     return scan[:, :3], scan[:, 3]
 
 
@@ -270,11 +279,3 @@ def scan_bytes(points: np.ndarray, intensity: np.ndarray | None) -> bytes:
     if intensity is not None:
         scan[:, 3] = intensity
     return scan.tobytes()
-
-
-def list_oxts(folder: str | Path) -> list[Path]:
-    """The OXTS files of a folder in the order of their numbers. BadInput when there is none."""
-    paths = sorted(Path(folder).glob("*.txt"))
-    if not paths:
-        raise BadInput(folder, "holds no OXTS file (*.txt)", "check gps.files in the drive's file")
-    return [find_file(p) for p in paths]

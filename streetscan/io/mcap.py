@@ -28,6 +28,8 @@ from streetscan import geometry
 from streetscan.errors import BadInput
 from streetscan.frames import CameraImage, CameraModel, GpsFix, LidarFrame, Mounting
 from streetscan.io.atomic import atomic_path
+from streetscan.io.files import open_binary
+from streetscan.io.images import check_image
 from streetscan.io.point_columns import LidarConventions, frame_of_columns
 
 LIDAR, IMAGE, CALIBRATION, GPS, TF = "/lidar", "/camera/image", "/camera/calibration", "/gps", "/tf"
@@ -188,13 +190,17 @@ def iterate_mcap(
         topics: wanted topics; each must exist unless it is one of a drive's own.
         conventions: what the numbers of the lidar messages mean.
         start_ns, end_ns: only messages logged from `start_ns` on and before `end_ns`.
-        convert_ros: for messages that are no protobuf: (channel, schema, message) to the records it holds.
+        convert_ros: for messages that are no protobuf: (channel, schema, message) to the records it holds. With it the file is
+            somebody else's, and each image is checked.
+    Yields:
+        records; the number of a lidar frame is its count from the first one read.
     Raises:
         BadInput: no such file, no MCAP, cut short, damaged, a wanted topic is missing, or a message of a type we do not know.
     """
     path = Path(path)
     factory = DecoderFactory()
     decoders: dict[int, Callable] = {}
+    n_frames = 0
     with open_mcap(path, topics) as reader:
         for schema, channel, message in _messages(reader, path, topics, start_ns, end_ns):
             if channel.message_encoding != "protobuf":
@@ -211,15 +217,17 @@ def iterate_mcap(
                 raise
             except Exception as error:
                 raise BadInput(path, f"a message of topic '{channel.topic}' cannot be decoded ({error})", "record it again") from error
-            yield record
+            if isinstance(record, LidarFrame):
+                record.number = n_frames
+                n_frames += 1
+            # A drive's own images were looked at when it was imported.
+            yield check_image(record) if isinstance(record, CameraImage) and convert_ros is not None else record
 
 
 @contextmanager
 def open_mcap(path: Path, topics: tuple[str, ...]) -> Iterator[object]:
-    """A reader of an MCAP file with checksums on; BadInput when the file is missing, damaged, cut short or lacks a wanted topic."""
-    if not path.is_file():
-        raise BadInput(path, "no such file", "check the drive's file and data_root")
-    with path.open("rb") as stream:
+    """A reader of an MCAP file with checksums on; BadInput when the file is missing, unreadable, damaged, cut short or lacks a topic."""
+    with open_binary(path) as stream:
         try:
             reader = make_reader(stream, validate_crcs=True)
             summary = reader.get_summary()

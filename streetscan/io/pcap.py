@@ -1,5 +1,6 @@
 """Velodyne captures: UDP packets to revolutions that start at the rear, through velodyne-decoder."""
 
+import logging
 import struct
 from collections.abc import Iterator
 from decimal import Decimal
@@ -11,8 +12,10 @@ import velodyne_decoder as vd
 
 from streetscan.errors import BadInput
 from streetscan.frames import LEAST_COVERED, GpsFix, LidarFrame, drop_non_finite, nanoseconds
+from streetscan.io.files import open_binary
 from streetscan.io.point_columns import LidarConventions, stamp_forward
 
+logger = logging.getLogger(__name__)
 MODELS = {
     "hdl32e": vd.Model.HDL32E, "hdl64e_s1": vd.Model.HDL64E_S1, "hdl64e_s2": vd.Model.HDL64E_S2, "hdl64e_s3": vd.Model.HDL64E_S3,
     "puck_hi_res": vd.Model.PuckHiRes, "vlp16": vd.Model.VLP16, "vlp32a": vd.Model.VLP32A, "vlp32b": vd.Model.VLP32B,
@@ -21,8 +24,16 @@ MODELS = {
 # Velodyne gives the intensity in one byte.
 _INTENSITY_MAX = 255.0
 _CUT_DEG = 180.0
-# ASSUME: packets are less than 10 degrees apart (0.2 to 0.5 are usual); a larger step is a gap.
-_LARGEST_STEP_DEG = 10.0
+# ASSUME: from one packet to the next the sensor turns as far as between the firings within one; 2.5 times as far is a gap. The
+# smallest packet holds three firings, so one that is lost makes the step four times as long.
+_LARGEST_STEP = 2.5
+_LOWER_BLOCK = 0xDDFF
+# Kinds of captures: the parser of a packet and the bytes before its IP header.
+_LINKS = {
+    dpkt.pcap.DLT_EN10MB: (dpkt.ethernet.Ethernet, 14),
+    dpkt.pcap.DLT_LINUX_SLL: (dpkt.sll.SLL, 16),
+    dpkt.pcap.DLT_LINUX_SLL2: (dpkt.sll2.SLL2, 20),
+}
 
 
 class PacketDecoder:
@@ -54,10 +65,13 @@ class PacketDecoder:
             config.calibration = _read_calibration(calibration)
         elif model.startswith("hdl64e"):
             raise BadInput(where, "a HDL-64E without its unit's calibration", "name the unit's file in lidar.calibration")
-        self._where, self._fov_deg = where, fov_deg
+        self._where, self._fov_deg, self._model = where, fov_deg, model
         self._decoder = vd.StreamDecoder(config)
         self._covered_deg = 0.0
         self._last_azimuth_deg: float | None = None
+        self._step_deg = 0.0
+        self._n_gaps = 0
+        self._is_damaged = False
         self._n_packets = 0
         self._n_frames = 0
 
@@ -67,23 +81,43 @@ class PacketDecoder:
         Raises:
             BadInput: the packet is not of this model, or cannot be decoded.
         """
-        azimuths_deg = [struct.unpack_from("<H", data, 100 * block + 2)[0] / 100 for block in range(12)]
+        headers = [struct.unpack_from("<HH", data, 100 * block) for block in range(12)]
+        # Only a HDL-64E has a lower block of lasers; the decoder would turn the packets of any sensor into points of it.
+        if self._model.startswith("hdl64e") and all(flag != _LOWER_BLOCK for flag, _ in headers):
+            raise BadInput(self._where, f"packets of another sensor than '{self._model}'", "correct lidar.model in the drive's file")
+        azimuths_deg = np.array([azimuth for _, azimuth in headers]) / 100
         result = self._decode(time_s, data)
         frame = None if result is None else self._frame(result, self._covered_deg)
         if result is not None:
             self._covered_deg = 0.0
         self._n_packets += 1
-        for azimuth_deg in azimuths_deg:
-            if self._last_azimuth_deg is not None:
-                step_deg = (azimuth_deg - self._last_azimuth_deg) % 360
-                self._covered_deg += step_deg if step_deg < _LARGEST_STEP_DEG else 0.0
-            self._last_azimuth_deg = azimuth_deg
+        self._cover(azimuths_deg)
         return frame
+
+    def lose(self) -> None:
+        """A packet of the revolution under way was damaged: it will be `partial` at best."""
+        self._is_damaged = True
 
     def finish(self) -> LidarFrame | None:
         """The revolution the recording ended in, or None; BadInput like push."""
+        if self._n_gaps:
+            logger.warning("%s: %d gaps between %d packets; packets were lost", self._where, self._n_gaps, self._n_packets)
         result = self._decode()
         return None if result is None else self._frame(result, self._covered_deg)
+
+    def _cover(self, azimuths_deg: np.ndarray) -> None:
+        """Add what a packet's firings and the step to them cover; a step over lost packets covers nothing."""
+        steps_deg = np.diff(azimuths_deg) % 360
+        if (steps_deg > 0).any():
+            self._step_deg = float(np.median(steps_deg[steps_deg > 0]))
+        if self._last_azimuth_deg is not None:
+            steps_deg = np.append(steps_deg, (azimuths_deg[0] - self._last_azimuth_deg) % 360)
+        is_gap = steps_deg > _LARGEST_STEP * self._step_deg
+        self._covered_deg += float(steps_deg[~is_gap].sum())
+        # A sensor set to a sector jumps over the rest of the circle.
+        is_sector = (self._fov_deg < 360) & (steps_deg > 0.9 * (360 - self._fov_deg))
+        self._n_gaps += int((is_gap & ~is_sector).sum())
+        self._last_azimuth_deg = float(azimuths_deg[-1])
 
     def _decode(self, *packet: float | bytes) -> tuple | None:
         try:
@@ -103,8 +137,9 @@ class PacketDecoder:
         self._n_frames += 1
         frame = stamp_forward(frame, cloud[:, 4].astype(np.float64), LidarConventions(stamp="end"))
         frame = drop_non_finite(frame)
-        if frame.status == "ok" and covered_deg < LEAST_COVERED * self._fov_deg:
+        if frame.status == "ok" and (self._is_damaged or covered_deg < LEAST_COVERED * self._fov_deg):
             frame.status = "partial"
+        self._is_damaged = False
         return frame
 
 
@@ -115,17 +150,16 @@ def iterate_pcap(path: str | Path, decoder: PacketDecoder) -> Iterator[LidarFram
         path: the capture.
         decoder: for the sensor's model.
     Yields:
-        frames cut at the rear; the first and the last have status `partial` unless complete, the last `truncated` when
-        the file ends within a packet. A GpsFix for each new NMEA sentence of the sensor's GPS receiver, without altitude.
+        frames cut at the rear; `partial` when azimuths are missing (the first, the last, lost packets) or a packet was cut,
+        the last `truncated` when the file ends within a packet. A GpsFix for each new NMEA sentence
+        of the sensor's GPS receiver, without altitude.
     Raises:
         BadInput: no such file, no capture, no lidar packet in it.
     """
     path = Path(path)
-    if not path.is_file():
-        raise BadInput(path, "no such file", "check the drive's file and data_root")
-    n_packets, is_cut, sentence = 0, False, None
-    with path.open("rb") as stream:
-        packets = _open_capture(stream, path)
+    n_packets, n_cut, is_cut, sentence = 0, 0, False, None
+    with open_binary(path) as stream:
+        packets, link = _open_capture(stream, path)
         held = None
         while True:
             try:
@@ -135,9 +169,11 @@ def iterate_pcap(path: str | Path, decoder: PacketDecoder) -> Iterator[LidarFram
             except (dpkt.dpkt.UnpackError, ValueError, struct.error, IndexError):
                 is_cut = True
                 break
-            payload, is_whole = _udp_payload(buffer)
-            if not is_whole:
-                is_cut = True
+            payload, is_whole = _udp_payload(buffer, *link)
+            is_cut = not is_whole
+            if is_cut:
+                n_cut += 1
+                decoder.lose()
                 continue
             if payload is None:
                 continue
@@ -149,6 +185,10 @@ def iterate_pcap(path: str | Path, decoder: PacketDecoder) -> Iterator[LidarFram
                 fix, sentence = _fix(payload, float(time_s), sentence)
                 if fix is not None:
                     yield fix
+    if n_cut:
+        logger.warning("%s: %d packets are cut short; capture whole packets (tcpdump -s 0)", path, n_cut)
+    if n_packets == 0 and n_cut:
+        raise BadInput(path, f"holds no whole packet, {n_cut} are cut short", "capture whole packets (tcpdump -s 0)")
     if n_packets == 0:
         raise BadInput(path, "holds no Velodyne data packet (1206 bytes)", "give a capture of the sensor's UDP port 2368")
     held = decoder.finish()
@@ -158,21 +198,27 @@ def iterate_pcap(path: str | Path, decoder: PacketDecoder) -> Iterator[LidarFram
         yield held
 
 
-def _open_capture(stream: object, path: Path) -> Iterator[tuple[float | Decimal, bytes]]:
+def _open_capture(stream: object, path: Path) -> tuple[Iterator[tuple[float | Decimal, bytes]], tuple[type[dpkt.Packet], int]]:
+    """The stamped packets of a capture, and how they are read: see _LINKS."""
     try:
-        return iter(dpkt.pcap.UniversalReader(stream))
+        reader = dpkt.pcap.UniversalReader(stream)
+        link = reader.datalink()
+        packets = iter(reader)
     except (ValueError, dpkt.dpkt.UnpackError, struct.error, IndexError, KeyError) as error:
         raise BadInput(path, f"is no pcap or pcapng capture ({error})", "record it with tcpdump or Wireshark") from error
+    if link not in _LINKS:
+        raise BadInput(path, f"a capture of link type {link}", "capture the network card the sensor is on (tcpdump -i <card>)")
+    return packets, _LINKS[link]
 
 
-def _udp_payload(buffer: bytes) -> tuple[bytes | None, bool]:
-    """The UDP payload of an Ethernet frame, or None for other traffic; and whether the packet is whole."""
+def _udp_payload(buffer: bytes, kind: type[dpkt.Packet], n_header: int) -> tuple[bytes | None, bool]:
+    """The UDP payload of a captured frame, or None for other traffic; and whether the packet is whole."""
     try:
-        packet = dpkt.ethernet.Ethernet(buffer)
+        packet = kind(buffer)
     except (dpkt.dpkt.UnpackError, struct.error, IndexError, ValueError):
-        return None, len(buffer) >= 14
+        return None, len(buffer) >= n_header
     ip = packet.data
-    if isinstance(ip, dpkt.ip.IP) and ip.len > len(buffer) - 14:
+    if isinstance(ip, dpkt.ip.IP) and ip.len > len(buffer) - n_header:
         return None, False
     udp = getattr(ip, "data", None)
     if not isinstance(udp, dpkt.udp.UDP):

@@ -189,6 +189,12 @@ def _open_bag(path: Path) -> Iterator[tuple[dict[str, str], Callable, Callable]]
         with _open_databases(databases) as (available, messages):
             yield available, messages, store.deserialize_cdr
         return
+    if path.is_dir() and not (path / "metadata.yaml").is_file():
+        found = ", ".join(sorted(p.name for p in [*path.glob("*.db3"), *path.glob("*.mcap")]))
+        if not found:
+            raise BadInput(path, "is a folder without a ROS bag", "check root in the drive's file")
+        remedy = "copy it too, run `ros2 bag reindex`, or write the .db3 file itself as root (a .mcap with reader: mcap)"
+        raise BadInput(path, f"lacks the bag's metadata.yaml beside {found}", remedy)
     try:
         reader = AnyReader([path], default_typestore=store)
         reader.open()

@@ -134,3 +134,16 @@ def test_what_cannot_be_exported(drive, format, first, found):
     with pytest.raises(BadInput, match=found):
         main(drive / "drive.mcap", drive / "out", format, first=first)
     assert not (drive / "out").exists()
+
+
+def test_statuses_and_dates_that_are_lost_are_said(drive, caplog):
+    rows = (drive / "frames.csv").read_text().splitlines()
+    rows[2] = rows[2].replace(",ok,", ",partial,", 1)
+    (drive / "frames.csv").write_text("\n".join(rows))
+    for format, expected in (("kitti_odometry", {"date 5", "frame status 1"}), ("pcd_sequence", {"frame status 1"})):
+        caplog.clear()
+        with caplog.at_level(logging.WARNING, "streetscan"):
+            main(drive / "drive.mcap", drive / "out", format)
+        lines = {" ".join(line.split()) for line in caplog.text.splitlines()}
+        assert expected <= lines
+        assert ("date 5" in lines) == (format == "kitti_odometry")

@@ -13,9 +13,9 @@ from toy_recordings import ROOT, SCHEMA, START_NS, Messages, kitti_facts, png, r
 from streetscan import geometry
 from streetscan.drives import FRAME_COLUMNS, Recording, import_drive, read_drive_facts
 from streetscan.errors import BadInput
-from streetscan.frames import STATUSES, LidarFrame
+from streetscan.frames import STATUSES, CameraImage, LidarFrame
 from streetscan.inspection import inspect_drive, project_points
-from streetscan.io.mcap import iterate_drive, iterate_lidar
+from streetscan.io.mcap import iterate_drive, iterate_lidar, open_drive_writer
 from streetscan.io.pcd_sequence import write_pcd_frame
 from streetscan.io.trajectories import read_poses_csv
 
@@ -266,7 +266,7 @@ def test_a_drive_is_imported_as_it_is(tmp_path, kitti):
         ({"lidar": {"files": "velodyne_points/data/*.xyz"}}, "right data set"),
         ({"lidar": {"files": "velodyne_points/data/*.bin", "times": "oxts/data/0000000000.txt"}}, "no list of times"),
         ({"camera": {"files": "image_02/data/*.png", "calibration": {"file": "calib_velo_to_cam.txt", "camera": 2}}}, "no line 'P2:'"),
-        ({"gps": {"format": "oxts", "files": "image_02/data"}}, "no OXTS file"),
+        ({"gps": {"format": "oxts", "files": "image_02/data"}}, r"gps\.files"),
         ({"crs": "EPSG:4326"}, "projected"),
         ({"camera": {"files": "image_02/data/*.png", "calibration": {"width": 1, "height": 1, "K": [0] * 9}}}, "no camera matrix"),
         (
@@ -382,3 +382,112 @@ def test_damaged_folders(tmp_path, data):
         pass
     finally:
         target.write_bytes(original)
+
+
+def test_file_numbers_are_respected_however_sparse(tmp_path):
+    (tmp_path / "drive" / "image").mkdir(parents=True)
+    points, intensity, _ = revolution(20)
+    for i in range(301):
+        np.c_[points, intensity].astype(np.float32).tofile(tmp_path / "drive" / f"{i:06d}.bin")
+    for i in (0, 300):
+        (tmp_path / "drive" / "image" / f"{i:06d}.png").write_bytes(png(i))
+    facts = {"description": "d", "source": "s", "reader": "folder", "root": "drive", "rate_hz": 10, "lidar": {"files": "*.bin"}}
+    _, frames = run(tmp_path, facts | {"camera": {"files": "image/*.png"}})
+    assert np.flatnonzero(frames["image_status"] == "ok").tolist() == [0, 300]
+    for i in set(range(301)) - {0, 200}:
+        (tmp_path / "drive" / f"{i:06d}.bin").unlink()
+    (tmp_path / "drive" / "times.txt").write_text("".join(f"{i / 10 + (i > 100)}\n" for i in range(250)))
+    facts["lidar"]["times"] = "times.txt"
+    counts, frames = run(tmp_path, facts)
+    assert counts == {"ok": 2, "missing": 248}
+    assert frames.loc[frames["status"] == "ok", "time_s"].tolist() == [0.0, 21.0]
+    _, frames = run(tmp_path, facts | {"frames": [0, 200]})
+    assert frames["time_s"].tolist() == [0.0, 21.0]
+    with pytest.raises(BadInput, match="no time for frame 250"):
+        run(tmp_path, facts | {"frames": [0, 250]})
+
+
+def test_numbers_that_count_nothing(tmp_path):
+    (tmp_path / "drive").mkdir()
+    for name in ("1000", "43200123"):
+        (tmp_path / "drive" / f"{name}.bin").write_bytes(b"")
+    facts = {"description": "d", "source": "s", "reader": "folder", "root": "drive", "rate_hz": 10, "lidar": {"files": "*.bin"}}
+    with pytest.raises(BadInput, match="no count of frames"):
+        run(tmp_path, facts)
+
+
+def test_frames_missing_at_either_end_keep_their_rows(tmp_path, kitti):
+    path = kitti / "velodyne_points" / "timestamps.txt"
+    path.write_text(path.read_text() + "2020-01-01 00:00:00.500000000\n2020-01-01 00:00:00.600000000\n")
+    (kitti / "velodyne_points" / "data" / "0000000000.bin").unlink()
+    _, frames = run(tmp_path, kitti_facts())
+    assert frames["number"].tolist() == list(range(7))
+    assert frames["status"].tolist() == ["missing", "ok", "ok", "ok", "ok", "missing", "missing"]
+
+
+def test_a_missing_oxts_file_moves_no_other(tmp_path, kitti):
+    run(tmp_path, kitti_facts())
+    whole = read_poses_csv(tmp_path / "truth" / "poses.csv")[2]
+    (kitti / "oxts" / "data" / "0000000001.txt").unlink()
+    run(tmp_path, kitti_facts())
+    np.testing.assert_allclose(read_poses_csv(tmp_path / "truth" / "poses.csv")[2], whole, atol=1e-5)
+
+
+def test_an_mcap_numbers_its_frames_and_checks_its_images(tmp_path):
+    with open_drive_writer(tmp_path / "other.mcap") as writer:
+        for i in range(4):
+            writer.write_lidar(LidarFrame(START_NS + i * 100_000_000, revolution(seed=i)[0]))
+            data = png(i) if i != 1 else b"no picture" * 20
+            writer.write_image(CameraImage(START_NS + i * 100_000_000, data, "png"))
+    (tmp_path / "poses.txt").write_text("".join(f"1 0 0 {i} 0 1 0 0 0 0 1 0\n" for i in range(4)))
+    facts = {
+        "description": "d", "source": "s", "reader": "mcap", "root": "other.mcap", "rate_hz": 10,
+        "lidar": {"topic": "/lidar"}, "camera": {"topic": "/camera/image"},
+        "truth": {"poses": {"format": "kitti", "file": "poses.txt", "source": "s"}},
+    }  # fmt: skip
+    _, frames = run(tmp_path, facts)
+    assert frames["number"].tolist() == [0, 1, 2, 3]
+    assert frames["image_status"].tolist() == ["ok", "unreadable", "ok", "ok"]
+    assert read_poses_csv(tmp_path / "truth" / "poses.csv")[2][:, 0, 3].tolist() == [0, 1, 2, 3]
+    with pytest.raises(BadInput, match="CameraImage, for which"):
+        run(tmp_path, {k: v for k, v in facts.items() if k != "camera"} | {"lidar": {"topic": "/camera/image"}})
+
+
+@pytest.mark.parametrize("pattern", ["/abs/*.laz", "**.bin"])
+def test_patterns_that_are_none(tmp_path, kitti, pattern):
+    with pytest.raises(BadInput, match=r"lidar\.files relative to root"):
+        run(tmp_path, kitti_facts(lidar={"files": pattern}))
+
+
+@pytest.mark.parametrize("kind", ["five columns", "random"])
+def test_a_bin_of_something_else(tmp_path, kitti, kind):
+    points, intensity, times = revolution()
+    five = np.c_[points, intensity * 255, times].astype(np.float32).tobytes()
+    data = five if kind == "five columns" else np.random.default_rng(0).bytes(16_000)
+    (kitti / "velodyne_points" / "data" / "0000000002.bin").write_bytes(data)
+    _, frames = run(tmp_path, kitti_facts())
+    assert frames["status"].tolist() == ["ok", "ok", "unreadable", "ok", "ok"]
+
+
+def test_one_wrong_stamp_condemns_no_other_frame(tmp_path, kitti):
+    path = kitti / "velodyne_points" / "timestamps.txt"
+    lines = path.read_text().splitlines()
+    lines[2] = lines[2].replace("2020", "2030")
+    path.write_text("\n".join(lines))
+    counts, frames = run(tmp_path, kitti_facts())
+    assert frames["status"].tolist() == ["ok", "ok", "time_backwards", "ok", "ok"]
+    assert counts == {"ok": 4, "time_backwards": 1}
+
+
+def test_missing_labels_and_images_of_another_size_are_said(tmp_path, kitti, caplog):
+    (kitti / "labels").mkdir()
+    for i in (0, 1, 2, 4):
+        (kitti / "labels" / f"{i:06d}.label").write_bytes(np.zeros(360, "<u4").tobytes())
+    (kitti / "image_02" / "data" / "0000000001.png").write_bytes(png(1, 32, 32))
+    facts = kitti_facts()
+    facts["truth"]["labels"] = {"files": "labels/*.label", "ids": "semantickitti"}
+    with caplog.at_level("WARNING"):
+        _, frames = run(tmp_path, facts)
+    assert "1 of 5 frames hold points and have no true labels" in caplog.text
+    assert "1 images are of another size" in caplog.text
+    assert frames["image_status"].tolist() == ["ok", "other_size", "ok", "ok", "ok"]

@@ -2,7 +2,7 @@ import lzma
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 from toy_recordings import CAM_TO_CAM, VELO_TO_CAM, revolution
 
@@ -163,6 +163,14 @@ def test_bad_oxts_rows(tmp_path, row):
 
 @settings(deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.one_of(st.binary(max_size=300), st.text("0123456789.e+- \n:,PRTframe_unix", max_size=300).map(str.encode)))
+@example(b"")
+@example(b"\xff\xfe")
+@example(b"nan\n")
+@example(b"1e400\n")
+@example(b"frame,unix_time\n1,0\n")
+@example(b"2020-13-01 00:00:00.0\n")
+@example(b"P2: 1 2 x\n")
+@example(b"R: 0 0 0 0 0 0 0 0 0\nT: 0 0 0\n")
 def test_any_bytes_give_a_value_or_a_clear_error(tmp_path, data):
     path = tmp_path / "file.txt"
     path.write_bytes(data)

@@ -165,3 +165,13 @@ def test_a_cloud_that_contradicts_itself(tmp_path):
     (tmp_path / "d.mcap").write_bytes(stream.getvalue())
     with pytest.raises(BadInput, match="13 bytes"):
         list(mcap.iterate_lidar(tmp_path / "d.mcap"))
+
+
+def refuse(*_, **__):
+    raise PermissionError(13, "Permission denied")
+
+
+def test_a_file_nobody_may_read(drive, monkeypatch):
+    monkeypatch.setattr(type(drive), "open", refuse)
+    with pytest.raises(BadInput, match="Permission denied"):
+        list(mcap.iterate_drive(drive))

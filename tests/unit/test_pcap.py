@@ -1,5 +1,6 @@
 import struct
 
+import dpkt
 import numpy as np
 import pytest
 import velodyne_decoder as vd
@@ -158,3 +159,74 @@ def test_damaged_captures(tmp_path, data):
         assert "a.pcap" in str(error) or "packets" in str(error)  # noqa: PT017
     else:
         assert all(f.status in STATUSES and np.isfinite(f.points).all() for f in frames)
+
+
+def test_single_lost_packets_add_up(tmp_path, caplog):
+    packets = vlp16_packets(3)
+    assert [f.status for f in frames_of(write_pcap(tmp_path / "a.pcap", packets[::2]))] == ["partial"] * 3
+    # One packet of 75 is within what a revolution may lack, and is said.
+    with caplog.at_level("WARNING"):
+        assert [f.status for f in frames_of(write_pcap(tmp_path / "a.pcap", packets[:30] + packets[31:]))] == ["ok"] * 3
+    assert "1 gaps between 224 packets" in caplog.text
+
+
+def shorten(path, n_every):
+    """The capture with every n-th packet as a short snap length would leave it."""
+    with path.open("rb") as stream:
+        packets = list(dpkt.pcap.Reader(stream))
+    with path.open("wb") as stream:
+        writer = dpkt.pcap.Writer(stream)
+        for i, (time_s, data) in enumerate(packets):
+            writer.writepkt(data[:600] if i % n_every == 1 % n_every else data, time_s)
+    return path
+
+
+def test_cut_packets_leave_their_mark(tmp_path, caplog):
+    with caplog.at_level("WARNING"):
+        frames = frames_of(shorten(write_pcap(tmp_path / "a.pcap", vlp16_packets(3)), 4))
+    assert [f.status for f in frames] == ["partial"] * 3
+    assert "56 packets are cut short" in caplog.text
+    # A single one: only its own revolution.
+    frames = frames_of(shorten(write_pcap(tmp_path / "a.pcap", vlp16_packets(3)), 10_000))
+    assert [f.status for f in frames] == ["partial", "ok", "ok"]
+    with pytest.raises(BadInput, match="no whole packet"):
+        frames_of(shorten(write_pcap(tmp_path / "a.pcap", vlp16_packets(1)), 1))
+
+
+@pytest.mark.parametrize("link", [113, 276, 228])
+def test_captures_of_any_card(tmp_path, link):
+    path = write_pcap(tmp_path / "a.pcap", vlp16_packets(1))
+    with path.open("rb") as stream:
+        packets = list(dpkt.pcap.Reader(stream))
+    n_header = {113: 16, 276: 20, 228: 0}[link]
+    header = b"\x08\x00".ljust(n_header, b"\0") if link == 276 else b"\x08\x00".rjust(n_header, b"\0")
+    with path.open("wb") as stream:
+        writer = dpkt.pcap.Writer(stream, linktype=link)
+        for time_s, data in packets:
+            writer.writepkt((header if n_header else b"") + data[14:], time_s)
+    if link == 228:
+        with pytest.raises(BadInput, match="link type 228"):
+            frames_of(path)
+    else:
+        assert sum(len(f) for f in frames_of(path)) == 75 * 12 * 32
+
+
+def test_packets_of_another_sensor_are_no_hdl64(tmp_path):
+    laser = dict.fromkeys(("rot_correction", "dist_correction", "dist_correction_x", "dist_correction_y", "vert_offset_correction"), 0.0)
+    laser |= dict.fromkeys(("horiz_offset_correction", "focal_distance", "focal_slope", "vert_correction"), 0.0)
+    lasers = [laser | {"laser_id": i, "min_intensity": 0, "max_intensity": 255} for i in range(64)]
+    (tmp_path / "unit.yaml").write_text(yaml.safe_dump({"lasers": lasers, "num_lasers": 64, "distance_resolution": 0.002}))
+    path = write_pcap(tmp_path / "a.pcap", vlp16_packets(1))
+    with pytest.raises(BadInput, match="another sensor"):
+        frames_of(path, "hdl64e_s3", calibration=tmp_path / "unit.yaml")
+
+
+def refuse(*_, **__):
+    raise PermissionError(13, "Permission denied")
+
+
+def test_a_capture_nobody_may_read(tmp_path, monkeypatch):
+    path = write_pcap(tmp_path / "a.pcap", vlp16_packets(1))
+    monkeypatch.setattr(type(path), "open", refuse)
+    with pytest.raises(BadInput, match="Permission denied"):
+        frames_of(path)

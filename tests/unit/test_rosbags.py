@@ -256,3 +256,10 @@ def test_jpeg_is_recognized():
     data = cv2.imencode(".jpg", np.zeros((8, 8, 3), np.uint8))[1].tobytes()
     assert check_image(CameraImage(0, data, "rgb8; jpeg compressed bgr8")).format == "jpeg"
     assert check_image(CameraImage(0, data[:-2], "jpeg")).status == "unreadable"
+
+
+def test_a_folder_that_lacks_its_metadata(tmp_path):
+    path = write_bag(tmp_path / "toy", items_of("sqlite3", 1), "sqlite3")
+    (path / "metadata.yaml").unlink()
+    with pytest.raises(BadInput, match=r"lacks the bag's metadata\.yaml beside toy\.db3"):
+        read(path)
