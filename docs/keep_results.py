@@ -34,6 +34,7 @@ def main() -> None:
     """Copy the runs named on the command line (all finished ones by default), and bench.csv where there is one."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("runs", nargs="*")
+    parser.add_argument("--command", help="what was typed, where it was not `make run CONFIG=config/<run>.yaml`")
     arguments = parser.parse_args()
     finished = sorted(p.parent.name for p in (HOME / "results/tabulate_benchmarks").glob("*/report.html"))
     commit = subprocess.run(["git", "rev-parse", "HEAD"], cwd=HOME, check=True, capture_output=True, text=True).stdout.strip()
@@ -45,8 +46,11 @@ def main() -> None:
         shutil.copytree(source / "tables", target / "tables")
         if is_simulated(source / "scores.csv") and (source / "report.html").stat().st_size < MAX_BYTES:
             shutil.copy(source / "report.html", target)
-        config = "default" if run == "default" else run
-        lines = [f"command: make run CONFIG=config/{config}.yaml", f"commit: {commit}", f"hardware: {describe_hardware()}"]
+        lines = [
+            f"command: {arguments.command or f'make run CONFIG=config/{run}.yaml'}",
+            f"commit: {commit}",
+            f"hardware: {describe_hardware()}",
+        ]
         (target / "run.txt").write_text("\n".join(lines) + "\n")
         print(f"kept run {run}")
     if (HOME / "results/bench.csv").is_file():
