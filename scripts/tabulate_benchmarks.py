@@ -23,8 +23,6 @@ def main(inputs: Mapping, outputs: Mapping, evaluated: Pairs, trained: Pairs, vi
         facts: data set to its facts for Table 1.2.
         config: the resolved configuration, printed in the report; its `run` and `seed` name it.
     """
-    for folder in (outputs["tables"], outputs["figures"]):  # a run without truth has neither tables nor figures
-        Path(folder).mkdir(parents=True, exist_ok=True)
     files = zip(inputs["evaluations"], inputs["confusions"], evaluated, strict=True)
     evaluations = [scores.read_evaluation(*paths, *pair, config["seed"]) for *paths, pair in files]
     histories = {tuple(pair): pd.read_csv(path) for pair, path in zip(trained, inputs["histories"], strict=True)}
@@ -41,6 +39,8 @@ def main(inputs: Mapping, outputs: Mapping, evaluated: Pairs, trained: Pairs, vi
         yaml.safe_dump(dict(config), sort_keys=False, allow_unicode=True),
         unscored=labelled[len(evaluated) :],
     )
+    for folder in (outputs["tables"], outputs["figures"]):  # a run without truth has neither tables nor figures
+        Path(folder).mkdir(parents=True, exist_ok=True)
     tables.write_tables(outputs["tables"], printed)
     scores.write_scores(outputs["scores"], found)
     report.write_report(outputs["report"], html)
