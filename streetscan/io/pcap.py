@@ -9,6 +9,7 @@ from pathlib import Path
 import dpkt
 import numpy as np
 import velodyne_decoder as vd
+import yaml
 
 from streetscan.errors import BadInput
 from streetscan.frames import LEAST_COVERED, GpsFix, LidarFrame, drop_non_finite, nanoseconds
@@ -21,6 +22,10 @@ MODELS = {
     "puck_hi_res": vd.Model.PuckHiRes, "vlp16": vd.Model.VLP16, "vlp32a": vd.Model.VLP32A, "vlp32b": vd.Model.VLP32B,
     "vlp32c": vd.Model.VLP32C, "vls128": vd.Model.VLS128,
 }  # fmt: skip
+_N_LASERS = {"hdl32e": 32, "puck_hi_res": 16, "vlp16": 16, "vlp32a": 32, "vlp32b": 32, "vlp32c": 32, "vls128": 128}
+_N_LASERS |= dict.fromkeys(("hdl64e_s1", "hdl64e_s2", "hdl64e_s3"), 64)
+# The last byte of a packet names the product; a HDL-64E has its own use for it.
+_PRODUCTS = {33: "hdl32e", 34: "vlp16", 35: "vlp32a or vlp32b", 36: "puck_hi_res", 40: "vlp32c", 161: "vls128"}
 # Velodyne gives the intensity in one byte.
 _INTENSITY_MAX = 255.0
 _CUT_DEG = 180.0
@@ -28,6 +33,11 @@ _CUT_DEG = 180.0
 # smallest packet holds three firings, so one that is lost makes the step four times as long.
 _LARGEST_STEP = 2.5
 _LOWER_BLOCK = 0xDDFF
+# The longest packet any capture program keeps; a record that claims more is damaged, and so is the rest of the file.
+_MOST_BYTES = 262_144
+# ASSUME: a receiver's sentence reaches the sensor within a second, and the sensor repeats it until the next, a second later.
+# An age beyond this comes from a sensor whose clock the receiver does not set.
+_OLDEST_FIX_S = 3.0
 # Kinds of captures: the parser of a packet and the bytes before its IP header.
 _LINKS = {
     dpkt.pcap.DLT_EN10MB: (dpkt.ethernet.Ethernet, 14),
@@ -62,7 +72,7 @@ class PacketDecoder:
             raise BadInput(where, f"'{model}' is no Velodyne we know", f"write lidar.model as one of {', '.join(MODELS)}")
         config = vd.Config(model=MODELS[model], cut_angle=_CUT_DEG, min_range=min_range_m, max_range=max_range_m)
         if calibration is not None:
-            config.calibration = _read_calibration(calibration)
+            config.calibration = _read_calibration(calibration, model)
         elif model.startswith("hdl64e"):
             raise BadInput(where, "a HDL-64E without its unit's calibration", "name the unit's file in lidar.calibration")
         self._where, self._fov_deg, self._model = where, fov_deg, model
@@ -85,6 +95,9 @@ class PacketDecoder:
         # Only a HDL-64E has a lower block of lasers; the decoder would turn the packets of any sensor into points of it.
         if self._model.startswith("hdl64e") and all(flag != _LOWER_BLOCK for flag, _ in headers):
             raise BadInput(self._where, f"packets of another sensor than '{self._model}'", "correct lidar.model in the drive's file")
+        product = _PRODUCTS.get(data[-1], f"a product of number {data[-1]}")
+        if not self._model.startswith("hdl64e") and self._model not in product:
+            raise BadInput(self._where, f"packets of {product}, not of '{self._model}'", "correct lidar.model in the drive's file")
         azimuths_deg = np.array([azimuth for _, azimuth in headers]) / 100
         result = self._decode(time_s, data)
         frame = None if result is None else self._frame(result, self._covered_deg)
@@ -157,7 +170,7 @@ def iterate_pcap(path: str | Path, decoder: PacketDecoder) -> Iterator[LidarFram
         BadInput: no such file, no capture, no lidar packet in it.
     """
     path = Path(path)
-    n_packets, n_cut, is_cut, sentence = 0, 0, False, None
+    n_packets, n_cut, n_repeated, is_cut, sentence, last = 0, 0, 0, False, None, None
     with open_binary(path) as stream:
         packets, link = _open_capture(stream, path)
         held = None
@@ -167,6 +180,10 @@ def iterate_pcap(path: str | Path, decoder: PacketDecoder) -> Iterator[LidarFram
             except StopIteration:
                 break
             except (dpkt.dpkt.UnpackError, ValueError, struct.error, IndexError):
+                is_cut = True
+                break
+            if len(buffer) > _MOST_BYTES:
+                logger.warning("%s: a record of %d bytes after %d packets is damaged; the rest is left out", path, len(buffer), n_packets)
                 is_cut = True
                 break
             payload, is_whole = _udp_payload(buffer, *link)
@@ -179,6 +196,11 @@ def iterate_pcap(path: str | Path, decoder: PacketDecoder) -> Iterator[LidarFram
                 continue
             if len(payload) == vd.PACKET_SIZE:
                 n_packets += 1
+                # A capture of two cards, or of a mirrored port, has every packet twice.
+                if payload == last:
+                    n_repeated += 1
+                    continue
+                last = payload
                 if (frame := decoder.push(float(time_s), payload)) is not None:
                     yield frame
             elif len(payload) == vd.TELEMETRY_PACKET_SIZE:
@@ -187,6 +209,8 @@ def iterate_pcap(path: str | Path, decoder: PacketDecoder) -> Iterator[LidarFram
                     yield fix
     if n_cut:
         logger.warning("%s: %d packets are cut short; capture whole packets (tcpdump -s 0)", path, n_cut)
+    if n_repeated:
+        logger.warning("%s: %d of %d packets repeat the one before and were left out", path, n_repeated, n_packets)
     if n_packets == 0 and n_cut:
         raise BadInput(path, f"holds no whole packet, {n_cut} are cut short", "capture whole packets (tcpdump -s 0)")
     if n_packets == 0:
@@ -218,17 +242,26 @@ def _udp_payload(buffer: bytes, kind: type[dpkt.Packet], n_header: int) -> tuple
     except (dpkt.dpkt.UnpackError, struct.error, IndexError, ValueError):
         return None, len(buffer) >= n_header
     ip = packet.data
-    if isinstance(ip, dpkt.ip.IP) and ip.len > len(buffer) - n_header:
-        return None, False
     udp = getattr(ip, "data", None)
-    if not isinstance(udp, dpkt.udp.UDP):
-        return None, True
-    payload = bytes(udp.data)
-    return payload, len(payload) >= udp.ulen - 8
+    if isinstance(udp, dpkt.udp.UDP):
+        payload = bytes(udp.data)
+        return payload, len(payload) >= udp.ulen - 8
+    if isinstance(ip, dpkt.ip.IP):
+        return None, ip.len <= len(buffer) - n_header
+    # An IP header that is not all there stays bytes.
+    return None, _link_type(packet) != dpkt.ethernet.ETH_TYPE_IP
+
+
+def _link_type(packet: dpkt.Packet) -> int:
+    return packet.type if isinstance(packet, dpkt.ethernet.Ethernet) else packet.ethtype
 
 
 def _fix(payload: bytes, time_s: float, last_sentence: str | None) -> tuple[GpsFix | None, str | None]:
-    """A position packet's fix, when its NMEA sentence is a new one (the sensor repeats each for a second)."""
+    """A position packet's fix, when its NMEA sentence is a new one (the sensor repeats each for a second).
+
+    It is stamped with the moment the sentence speaks of: the packet's arrival less the age of the sentence on the sensor's clock,
+    which the receiver sets. At 15 m/s the arrival alone would be wrong by up to 20 m.
+    """
     try:
         telemetry = vd.TelemetryPacket(payload)
         position, sentence = telemetry.gps_position, telemetry.nmea_sentence
@@ -238,13 +271,24 @@ def _fix(payload: bytes, time_s: float, last_sentence: str | None) -> tuple[GpsF
         return None, last_sentence
     longitude_deg, latitude_deg = position[:2]
     altitude_m = float(position[2]) if sentence and "GGA" in sentence[:6] else float("nan")
-    return GpsFix(nanoseconds(time_s), latitude_deg, longitude_deg, altitude_m), sentence
+    return GpsFix(nanoseconds(time_s - _age_s(telemetry)), latitude_deg, longitude_deg, altitude_m), sentence
 
 
-def _read_calibration(path: str | Path) -> vd.Calibration:
+def _age_s(telemetry: vd.TelemetryPacket) -> float:
+    """Seconds from the moment a position packet's sentence speaks of to the packet; 0 when the sensor's clock is not the receiver's."""
+    moment = telemetry.parse_nmea()
+    age_s = (telemetry.usec_since_toh * 1e-6 - 60 * moment.utc_minutes - moment.utc_seconds) % 3600
+    return age_s if age_s <= _OLDEST_FIX_S else 0.0
+
+
+def _read_calibration(path: str | Path, model: str) -> vd.Calibration:
     if not Path(path).is_file():
         raise BadInput(path, "no such file", "check lidar.calibration in the drive's file")
     try:
-        return vd.Calibration.read(str(path))
+        calibration = vd.Calibration.read(str(path))
+        n_lasers = len(yaml.safe_load(calibration.to_string())["lasers"])
     except (RuntimeError, ValueError, IndexError, MemoryError) as error:
         raise BadInput(path, f"is no Velodyne calibration ({error})", "give the YAML with the 'lasers' of the unit") from error
+    if n_lasers != _N_LASERS[model]:
+        raise BadInput(path, f"has {n_lasers} lasers, a '{model}' has {_N_LASERS[model]}", "give the calibration of this very unit")
+    return calibration

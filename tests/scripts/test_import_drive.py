@@ -19,7 +19,9 @@ from scipy.spatial import cKDTree
 from toy_recordings import ROOT, SCHEMA, kitti_facts, ros_store, write_facts, write_kitti
 
 from scripts.import_drive import main
-from streetscan.io.mcap import iterate_lidar
+from streetscan.frames import GpsFix
+from streetscan.inspection import fix_track_m
+from streetscan.io.mcap import iterate_drive, iterate_lidar
 from streetscan.io.pcap import MODELS
 from streetscan.sweeps import deskew
 
@@ -113,9 +115,15 @@ def test_hdl32_capture(tmp_path, shared_data):
     independent = [len(p) for _, p in vd.read_pcap(shared_data / "velodyne_pcap" / "hdl32_example.pcap", config)]
     assert frames["n_points"].sum() == sum(independent)
     assert frames["status"].tolist() == ["partial", "ok", "ok", "ok", "ok", "partial"]
-    # 15 m/s along the car's axis: undoing it brings the two ends of a revolution, at the rear, together.
+    # Revolutions begin and end at the rear, forward is in their middle.
     whole = list(iterate_lidar(tmp_path / "drive.mcap"))[1:5]
     assert all(abs(f.time_offset_s.min() + f.time_offset_s.max()) < 2e-3 for f in whole)
+    # The receiver itself gives 28.8 and 29.5 knots (14.8 and 15.2 m/s) at its two fixes, which speak of whole seconds.
+    fixes = [r for r in iterate_drive(tmp_path / "drive.mcap", ("/gps",)) if isinstance(r, GpsFix)]
+    duration_s = (fixes[1].time_ns - fixes[0].time_ns) * 1e-9
+    assert duration_s == pytest.approx(1, abs=1e-3)
+    track = pd.DataFrame({"latitude_deg": [f.latitude_deg for f in fixes], "longitude_deg": [f.longitude_deg for f in fixes]})
+    assert np.linalg.norm(fix_track_m(track)[1]) / duration_s == pytest.approx(15.0, abs=0.3)
 
 
 @pytest.mark.parametrize(
