@@ -22,6 +22,8 @@ def open_binary(path: str | Path) -> BinaryIO:
     """The file opened for reading bytes. BadInput when it is missing, no file, or must not be read."""
     path = Path(path)
     try:
+        if path.is_dir():
+            raise BadInput(path, "is a folder, not a file", "check root and reader in the drive's file")
         if not path.is_file():
             raise BadInput(path, "no such file", "check the drive's file and data_root")
         return path.open("rb")
@@ -43,7 +45,7 @@ def read_text(path: str | Path) -> str:
     """The contents of a UTF-8 text file, found by `find_file`. BadInput when it is missing or no text."""
     path = find_file(path)
     try:
-        return read_bytes(path).decode()
+        return read_bytes(path).decode("utf-8-sig")  # some editors begin a file with a mark of its encoding
     except UnicodeDecodeError as error:
         raise BadInput(path, "is no text file", "copy or export it again") from error
 

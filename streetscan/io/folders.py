@@ -169,8 +169,11 @@ def _read_frame(path: Path, time_ns: int, read: Callable[[Path, int], LidarFrame
         return empty_frame(time_ns, error.status, 0, path.name)
     frame.source = path.name
     if labels is not None and frame.status in ("ok", "partial"):
-        frame.labels = kitti.read_labels(labels)
-        if len(frame.labels) != len(frame) + frame.n_dropped:
+        try:
+            frame.labels = kitti.read_labels(labels)
+        except BadInput as error:
+            logger.warning("labels_do_not_fit: %s", error)
+        if frame.labels is None or len(frame.labels) != len(frame) + frame.n_dropped:
             frame.labels, frame.status = None, "labels_do_not_fit"
     return drop_non_finite(frame)
 

@@ -61,7 +61,7 @@ def read_times(path: str | Path) -> np.ndarray:
     """Stamps (K,) int64 nanoseconds of a list of times.
 
     Understood are KITTI raw (`2011-09-26 13:02:25.964389445`, taken as UTC), KITTI odometry (seconds, one number a line) and a CSV with
-    a column `unix_time` or `time_s` and, for a list with gaps, `frame`.
+    a column `unix_time` or `time_s`; a column `frame`, where there is one, must count 0, 1, 2, ...
 
     Raises:
         BadInput: missing, empty or not one of these.
@@ -87,6 +87,8 @@ def _times_of_csv(text: str) -> np.ndarray:
     column = next((c for c in ("unix_time", "time_s") if c in table), None)
     if column is None:
         raise ValueError(f"columns {', '.join(table.columns)}")
+    if table[column].isna().any():
+        raise ValueError(f"row {int(table[column].isna().argmax())} holds no {column}")
     times = np.array([_decimal_ns(t) for t in table[column]], np.int64)
     if "frame" in table and not np.array_equal(table["frame"].astype(int), np.arange(len(table))):
         raise ValueError("the column frame does not count 0, 1, 2, ...")
