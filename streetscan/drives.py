@@ -5,6 +5,7 @@ Truth stays apart: the drive's MCAP holds neither labels, nor true poses, nor th
 
 import csv
 import logging
+import os
 from bisect import bisect_left
 from collections import Counter
 from collections.abc import Iterator
@@ -23,7 +24,7 @@ from streetscan.frames import STATUSES, CameraImage, CameraModel, GpsFix, LidarF
 from streetscan.io import folders, kitti, range_images, trajectories
 from streetscan.io.arrays import save_npy
 from streetscan.io.atomic import atomic_folder, atomic_path
-from streetscan.io.files import read_yaml
+from streetscan.io.files import check_readable, read_yaml
 from streetscan.io.images import image_size
 from streetscan.io.mcap import open_drive_writer
 from streetscan.io.pcap import PacketDecoder, iterate_pcap
@@ -197,8 +198,9 @@ class Recording:
         """
         self.facts = facts
         self.path = Path(data_root) / facts.root
-        if not self.path.exists():
+        if not os.path.exists(self.path):
             raise BadInput(self.path, "no such file or folder", "check root in the drive's file and data_root")
+        check_readable(self.path)
         if facts.reader == "folder" and not self.path.is_dir():
             raise BadInput(self.path, "is no folder", f"check root and reader in {facts.where}")
         self.root = self.path if self.path.is_dir() else self.path.parent

@@ -1,6 +1,7 @@
 """Small files, as they are or xz-compressed."""
 
 import lzma
+import os
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -13,9 +14,15 @@ def find_file(path: str | Path) -> Path:
     """The file, or the same name with `.xz` where only that exists. BadInput when neither does."""
     path = Path(path)
     for candidate in (path, path.with_name(path.name + ".xz")):
-        if candidate.is_file():
+        if os.path.isfile(candidate):  # unlike pathlib's it does not raise where a folder must not be read
             return candidate
     raise BadInput(path, "no such file", "check the drive's file and data_root")
+
+
+def check_readable(path: str | Path) -> None:
+    """BadInput when a file or folder must not be read."""
+    if not os.access(path, os.R_OK | os.X_OK if os.path.isdir(path) else os.R_OK):
+        raise BadInput(path, "must not be read by you (permission denied)", "ask its owner, or change its permissions")
 
 
 def open_binary(path: str | Path) -> BinaryIO:

@@ -587,3 +587,9 @@ def test_missing_labels_and_images_of_another_size_are_said(tmp_path, kitti, cap
     assert "1 of 5 frames hold points and have no true labels" in caplog.text
     assert "1 images are of another size" in caplog.text
     assert frames["image_status"].tolist() == ["ok", "other_size", "ok", "ok", "ok"]
+
+
+def test_a_folder_nobody_may_read(tmp_path, kitti, monkeypatch):
+    monkeypatch.setattr("streetscan.io.files.os.access", lambda *_: False)
+    with pytest.raises(BadInput, match="drive: must not be read by you"):
+        run(tmp_path, kitti_facts())
