@@ -1,5 +1,6 @@
 """Velodyne captures: UDP packets to revolutions that start at the rear, through velodyne-decoder."""
 
+import itertools
 import logging
 import struct
 from collections.abc import Iterator
@@ -33,6 +34,8 @@ _CUT_DEG = 180.0
 # smallest packet holds three firings, so one that is lost makes the step four times as long.
 _LARGEST_STEP = 2.5
 _LOWER_BLOCK = 0xDDFF
+# Flag and azimuth of each of a packet's twelve blocks.
+_HEADERS = struct.Struct("<" + "HH96x" * 12)
 # The longest packet any capture program keeps; a record that claims more is damaged, and so is the rest of the file.
 _MOST_BYTES = 262_144
 # ASSUME: a receiver's sentence reaches the sensor within a second, and the sensor repeats it until the next, a second later.
@@ -78,8 +81,8 @@ class PacketDecoder:
         self._where, self._fov_deg, self._model = where, fov_deg, model
         self._decoder = vd.StreamDecoder(config)
         self._covered_deg = 0.0
-        self._last_azimuth_deg: float | None = None
-        self._step_deg = 0.0
+        self._last_azimuth: int | None = None
+        self._step = 0
         self._n_gaps = 0
         self._is_damaged = False
         self._n_packets = 0
@@ -91,20 +94,19 @@ class PacketDecoder:
         Raises:
             BadInput: the packet is not of this model, or cannot be decoded.
         """
-        headers = [struct.unpack_from("<HH", data, 100 * block) for block in range(12)]
+        headers = _HEADERS.unpack_from(data)
         # Only a HDL-64E has a lower block of lasers; the decoder would turn the packets of any sensor into points of it.
-        if self._model.startswith("hdl64e") and all(flag != _LOWER_BLOCK for flag, _ in headers):
+        if self._model.startswith("hdl64e") and _LOWER_BLOCK not in headers[::2]:
             raise BadInput(self._where, f"packets of another sensor than '{self._model}'", "correct lidar.model in the drive's file")
         product = _PRODUCTS.get(data[-1], f"a product of number {data[-1]}")
         if not self._model.startswith("hdl64e") and self._model not in product:
             raise BadInput(self._where, f"packets of {product}, not of '{self._model}'", "correct lidar.model in the drive's file")
-        azimuths_deg = np.array([azimuth for _, azimuth in headers]) / 100
         result = self._decode(time_s, data)
         frame = None if result is None else self._frame(result, self._covered_deg)
         if result is not None:
             self._covered_deg = 0.0
         self._n_packets += 1
-        self._cover(azimuths_deg)
+        self._cover(headers[1::2])
         return frame
 
     def lose(self) -> None:
@@ -118,19 +120,24 @@ class PacketDecoder:
         result = self._decode()
         return None if result is None else self._frame(result, self._covered_deg)
 
-    def _cover(self, azimuths_deg: np.ndarray) -> None:
-        """Add what a packet's firings and the step to them cover; a step over lost packets covers nothing."""
-        steps_deg = np.diff(azimuths_deg) % 360
-        if (steps_deg > 0).any():
-            self._step_deg = float(np.median(steps_deg[steps_deg > 0]))
-        if self._last_azimuth_deg is not None:
-            steps_deg = np.append(steps_deg, (azimuths_deg[0] - self._last_azimuth_deg) % 360)
-        is_gap = steps_deg > _LARGEST_STEP * self._step_deg
-        self._covered_deg += float(steps_deg[~is_gap].sum())
-        # A sensor set to a sector jumps over the rest of the circle.
-        is_sector = (self._fov_deg < 360) & (steps_deg > 0.9 * (360 - self._fov_deg))
-        self._n_gaps += int((is_gap & ~is_sector).sum())
-        self._last_azimuth_deg = float(azimuths_deg[-1])
+    def _cover(self, azimuths: tuple[int, ...]) -> None:
+        """Add what a packet's firings and the step to them cover; a step over lost packets covers nothing.
+
+        Args:
+            azimuths: of the packet's blocks, hundredths of a degree. There are a dozen, for which plain numbers beat arrays.
+        """
+        steps = [(b - a) % 36_000 for a, b in itertools.pairwise(azimuths)]
+        if turning := sorted(step for step in steps if step):
+            self._step = turning[len(turning) // 2]
+        if self._last_azimuth is not None:
+            steps.append((azimuths[0] - self._last_azimuth) % 36_000)
+        for step in steps:
+            if step <= _LARGEST_STEP * self._step:
+                self._covered_deg += step / 100
+            # A sensor set to a sector jumps over the rest of the circle.
+            elif self._fov_deg == 360 or step / 100 <= 0.9 * (360 - self._fov_deg):
+                self._n_gaps += 1
+        self._last_azimuth = azimuths[-1]
 
     def _decode(self, *packet: float | bytes) -> tuple | None:
         try:
