@@ -38,18 +38,13 @@ def write_drive_sheet(path: str | Path, name: str, description: str, source: str
         inspection: what to show.
     """
     parts = [f"<h1>{html.escape(name)}</h1><p>{html.escape(description)}<br><small>{html.escape(source)}</small></p>", _numbers(inspection)]
-    parts.append(
-        "<h2>Tracks</h2>" + _figure(_tracks(inspection), "Where the drive went: GPS fixes, and the true positions where they are known.")
-    )
+    caption = "Where the drive went: GPS fixes, and the true positions where they are known."
+    parts.append("<h2>Tracks</h2>" + _figure(_tracks(inspection), caption, "The drive holds neither GPS fixes nor true positions."))
     parts.append(
         "<h2>Time line</h2>" + _figure(_time_line(inspection), "Points of each frame over time; colours are statuses, bands are gaps.")
     )
-    parts.append(
-        "<h2>Frames</h2>"
-        + _figure(
-            _frames(inspection), f"Lidar frames from above, {_view_m(inspection):.0f} m to each side, coloured by height; forward is up."
-        )
-    )
+    caption = f"Lidar frames from above, {_view_m(inspection):.0f} m to each side, coloured by height; forward is up."
+    parts.append("<h2>Frames</h2>" + _figure(_frames(inspection), caption, "No frame holds a point."))
     if inspection.images:
         parts.append("<h2>Images</h2>" + _images(inspection))
     page = f'<!doctype html><html lang="en"><head><meta charset="utf-8"><title>{html.escape(name)}</title><style>{_STYLE}</style></head>'
@@ -199,9 +194,9 @@ def _mounted_camera(inspection: Inspection) -> np.ndarray | None:
     return None
 
 
-def _figure(figure: plt.Figure | None, caption: str) -> str:
+def _figure(figure: plt.Figure | None, caption: str, missing: str = "") -> str:
     if figure is None:
-        return "<p>Nothing to show: the drive has none.</p>"
+        return f"<p>{html.escape(missing)}</p>"
     stream = io.BytesIO()
     figure.savefig(stream, format="png", dpi=110)
     plt.close(figure)
