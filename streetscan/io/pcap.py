@@ -36,8 +36,9 @@ _LARGEST_STEP = 2.5
 _LOWER_BLOCK = 0xDDFF
 # Flag and azimuth of each of a packet's twelve blocks.
 _HEADERS = struct.Struct("<" + "HH96x" * 12)
-# The longest packet any capture program keeps; a record that claims more is damaged, and so is the rest of the file.
-_MOST_BYTES = 262_144
+# Short packets are filled up to 60 bytes, and some cards add a checksum. A record that is longer than its packet by more than this
+# has a damaged length, and where the next record begins is unknown.
+_MOST_PADDING = 64
 # ASSUME: a receiver's sentence reaches the sensor within a second, and the sensor repeats it until the next, a second later.
 # An age beyond this comes from a sensor whose clock the receiver does not set.
 _OLDEST_FIX_S = 3.0
@@ -184,16 +185,13 @@ def iterate_pcap(path: str | Path, decoder: PacketDecoder) -> Iterator[LidarFram
         while True:
             try:
                 time_s, buffer = next(packets)
+                payload, is_whole = _udp_payload(buffer, *link)
             except StopIteration:
                 break
-            except (dpkt.dpkt.UnpackError, ValueError, struct.error, IndexError):
+            except (dpkt.dpkt.UnpackError, ValueError, struct.error, IndexError) as error:
+                logger.warning("%s: is damaged or cut after %d packets (%s); nothing more can be read", path, n_packets, error)
                 is_cut = True
                 break
-            if len(buffer) > _MOST_BYTES:
-                logger.warning("%s: a record of %d bytes after %d packets is damaged; the rest is left out", path, len(buffer), n_packets)
-                is_cut = True
-                break
-            payload, is_whole = _udp_payload(buffer, *link)
             is_cut = not is_whole
             if is_cut:
                 n_cut += 1
@@ -243,12 +241,18 @@ def _open_capture(stream: object, path: Path) -> tuple[Iterator[tuple[float | De
 
 
 def _udp_payload(buffer: bytes, kind: type[dpkt.Packet], n_header: int) -> tuple[bytes | None, bool]:
-    """The UDP payload of a captured frame, or None for other traffic; and whether the packet is whole."""
+    """The UDP payload of a captured frame, or None for other traffic; and whether the packet is whole.
+
+    Raises:
+        ValueError: the frame is longer than the packet in it.
+    """
     try:
         packet = kind(buffer)
     except (dpkt.dpkt.UnpackError, struct.error, IndexError, ValueError):
         return None, len(buffer) >= n_header
     ip = packet.data
+    if isinstance(ip, dpkt.ip.IP) and ip.len and len(buffer) - n_header - ip.len > _MOST_PADDING:
+        raise ValueError(f"a record of {len(buffer)} bytes for a packet of {ip.len}")
     udp = getattr(ip, "data", None)
     if isinstance(udp, dpkt.udp.UDP):
         payload = bytes(udp.data)
