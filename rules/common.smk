@@ -89,6 +89,32 @@ def facts(name):
     return yaml.safe_load((DATASETS / f"{name}.yaml").read_text())
 
 
+@functools.cache
+def drive_facts(name):
+    """The content of a drive's file; the step that makes the drive checks it."""
+    path = DRIVES / f"{name}.yaml"
+    if not path.is_file():
+        raise WorkflowError(f"{path}: no such drive; write its file or correct its name in the config.")
+    return yaml.safe_load(path.read_text())
+
+
+def step_of_drive(drive):
+    """The step that makes a drive's files."""
+    return "simulate_drive" if drive_facts(drive)["reader"] == "simulate" else "import_drive"
+
+
+def drive_file(name):
+    """An input function: drive.mcap, frames.csv or truth of a drive, simulated or imported."""
+    return lambda wildcards: f"results/{step_of_drive(wildcards.drive)}/{wildcards.drive}/{name}"
+
+
+def street_of(wildcards):
+    """The street a simulated drive goes through, as the map of its data set was made with."""
+    simulation = drive_facts(wildcards.drive)["simulation"]
+    known = facts(simulation["dataset"])
+    return known["simulation"]["street"] | {"length_m": known["parts"][simulation["split"]]["length_m"], "crs": known["crs"]}
+
+
 def step_of_map(dataset):
     """The step that makes a data set's map."""
     return {"simulate": "simulate_city", "import": "import_map"}[facts(dataset)["source"]]
