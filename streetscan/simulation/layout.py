@@ -26,6 +26,10 @@ from streetscan.simulation.meshes import Surface, join, transform, tube, with_in
 from streetscan.simulation.scene import Actor, Mesh, Scene
 from streetscan.simulation.terrain import KERB_HEIGHT_M, KERB_M, SIDEWALK_M, Axis
 
+# Of everything in streetscan.simulation that shapes a map: geometry, traffic, materials, scanner. A change of any of it raises
+# the version and re-opens every number made with the city. 1: frozen for the first networks.
+GENERATOR_VERSION = 1
+
 BLOCK_M = 120.0
 MARGIN_M = 25.0
 CROSS_STREET_M = 42.0  # how far the mapping vehicle follows a cross street to either side
