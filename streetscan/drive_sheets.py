@@ -23,12 +23,6 @@ _VIEW_M = 40.0
 _CHANGES = {
     "same": ("#b5b5b5", "."), "moved": ("#d9a400", "^"), "other": ("#1f6fb2", "s"), "new": ("#2a7f3f", "P"), "gone": ("#c0392b", "x"),
 }  # fmt: skip
-    "same": ("#b5b5b5", "."),
-    "moved": ("#d9a400", "^"),
-    "other": ("#1f6fb2", "s"),
-    "new": ("#2a7f3f", "P"),
-    "gone": ("#c0392b", "x"),
-}
 _STYLE = """
 body{font:15px/1.45 system-ui,sans-serif;color:#222;max-width:1080px;margin:2em auto;padding:0 1em}
 h1{font-size:1.5em;margin-bottom:.1em} h2{font-size:1.1em;margin:1.6em 0 .4em;border-bottom:1px solid #ccc}
