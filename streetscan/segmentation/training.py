@@ -1,7 +1,8 @@
 """Training of C²CNN on sampled voxels.
 
 Samples that lie close together share most of the network's work, so a batch is a number of small patches, each with
-several of its samples, placed side by side in one coordinate frame.
+several of its samples, placed side by side in one coordinate frame. Each time a patch is drawn it is turned about the
+vertical by another number of quarter turns, which map voxels onto voxels: the thesis' randomly rotated clones (N-021).
 
 Source: Nagy (2020), 2.4.2 and appendix A.2.6; N-020..N-023, N-027..N-029.
 """
@@ -105,12 +106,10 @@ class Samples:
     Attributes:
         keys: (S, 3) int32 centre voxels.
         labels: (S,) uint8, 0..8.
-        turns: (S,) uint8 quarter turns of the cube, counter-clockwise about the vertical (N-021).
     """
 
     keys: np.ndarray
     labels: np.ndarray
-    turns: np.ndarray
 
     def __len__(self) -> int:
         return len(self.keys)
@@ -118,8 +117,8 @@ class Samples:
     @classmethod
     def load(cls, path: str | Path) -> "Samples":
         """Read what extract_samples wrote. BadInput when the file is something else, empty, or has labels beyond 0..8."""
-        samples = cls(*load_npz(path, ("keys", "labels", "turns"), "extract_samples"))
-        if not len(samples.keys) == len(samples.labels) == len(samples.turns) > 0:
+        samples = cls(*load_npz(path, ("keys", "labels"), "extract_samples"))
+        if not len(samples.keys) == len(samples.labels) > 0:
             raise BadInput(path, "holds no samples, or columns of different length", "run extract_samples again")
         if samples.labels.max() >= N_CLASSES:
             raise BadInput(path, f"label {samples.labels.max()} is no class", "run extract_samples again")
@@ -159,12 +158,12 @@ class Part:
         return cls(VoxelGrid.load(voxels_path), Samples.load(samples_path), settings, patch_voxels, samples_path)
 
     def runs(self, n: int, n_samples: int, rng: np.random.Generator) -> list[np.ndarray]:
-        """Group the samples in runs of at most `n` that share patch and turn, and draw runs with about `n_samples` in all.
+        """Group the samples in runs of at most `n` of one patch, and draw runs with about `n_samples` in all.
 
         Returns rows of samples, a run each, in random order; no sample twice.
         """
         drawn = rng.permutation(len(self.samples))
-        group = pack_keys(self._sample_patch[drawn]) * 4 + self.samples.turns[drawn]
+        group = pack_keys(self._sample_patch[drawn])
         order = np.argsort(group, kind="stable")
         drawn, group = drawn[order], group[order]
         first = np.flatnonzero(np.r_[True, group[1:] != group[:-1]])
@@ -175,12 +174,13 @@ class Part:
         return runs[: int(np.searchsorted(np.cumsum([len(run) for run in runs]), n_samples)) + 1]
 
     def batch(
-        self, runs: list[np.ndarray], thinning: float, rng: np.random.Generator
+        self, runs: list[np.ndarray], turns: np.ndarray, thinning: float, rng: np.random.Generator
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """The patches of several runs side by side.
 
         Args:
-            runs: rows of samples, each run of one patch and one turn.
+            runs: rows of samples, each run of one patch.
+            turns: (len(runs),) int64 quarter turns of each patch, counter-clockwise about the vertical.
             thinning: lowest share of points kept, 1 for all.
             rng: of the thinning.
         Returns:
@@ -189,7 +189,6 @@ class Part:
         """
         radius, side = self.settings.radius, self.patch_voxels
         patches = self._sample_patch[[run[0] for run in runs]]
-        turns = self.samples.turns[[run[0] for run in runs]].astype(np.int64)
         middles = patches * side + side // 2
         # Beside each other along x, a patch with its surroundings each: no cube sees two patches.
         spacing = side + 2 * radius + 1
@@ -355,7 +354,7 @@ def score(network: C2CNN, part: Part, weights: torch.Tensor, workers: Executor) 
     tally, rng = _Tally(), np.random.default_rng(0)
 
     def judge(runs):
-        channels, coords, wanted, labels = part.batch(runs, 1.0, rng)
+        channels, coords, wanted, labels = part.batch(runs, np.zeros(len(runs), np.int64), 1.0, rng)
         with torch.inference_mode():
             logits, labels = sparse_logits(network, channels, coords, wanted), torch.from_numpy(labels)
             return cross_entropy(logits, labels, weights, reduction="none"), logits, labels
@@ -380,7 +379,9 @@ def _run_epoch(
     batches = list(_batches(part.runs(schedule.samples_per_patch, schedule.samples_per_epoch, rng), schedule.samples_per_batch))
 
     def differentiate(runs, seed):
-        channels, coords, wanted, labels = part.batch(runs, schedule.thinning, np.random.default_rng(seed))
+        rng = np.random.default_rng(seed)
+        turns = rng.integers(4, size=len(runs))
+        channels, coords, wanted, labels = part.batch(runs, turns, schedule.thinning, rng)
         labels = torch.from_numpy(labels)
         logits = sparse_logits(network, channels, coords, wanted, torch.Generator().manual_seed(seed))
         losses = cross_entropy(logits, labels, weights, reduction="none")
@@ -439,7 +440,7 @@ def _fingerprint(schedule: Schedule, training: Part, validation: Part, weights: 
     """Hash of everything the result depends on."""
     digest = hashlib.sha256(json.dumps([asdict(network.settings), asdict(schedule), torch.__version__]).encode())
     for part in (training, validation):
-        for array in (part.grid.keys, part.channels, part.samples.keys, part.samples.labels, part.samples.turns):
+        for array in (part.grid.keys, part.channels, part.samples.keys, part.samples.labels):
             digest.update(np.ascontiguousarray(array))
     for tensor in (weights, *network.state_dict().values()):
         digest.update(tensor.detach().numpy().tobytes())
