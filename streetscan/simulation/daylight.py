@@ -113,8 +113,9 @@ class Lighting:
 
     @property
     def white(self) -> np.ndarray:
-        """(3,) radiance of a white board in the sun."""
-        return self.daylight.sun_light * 0.7 + self.daylight.sky_light
+        """(3,) colour of the light, mean 1: what a camera's white balance divides by."""
+        light = self.daylight.sun_light * 0.7 + self.daylight.sky_light
+        return light / light.mean()
 
     def see(
         self,

@@ -41,10 +41,10 @@ class Look(NamedTuple):
 
 
 LOOKS = {
-    "asphalt": Look(ASPHALT, 0.36, 0.6, 0.006, gloss=12.0),
+    "asphalt": Look(ASPHALT, 0.36, 0.3, 0.005, gloss=12.0),
     "wet_asphalt": Look(ASPHALT, 0.20, 1.6, 0.008, mirror=0.02, gloss=400.0),
     "marking": Look(MARKING, 0.16, 0.8, 0.008, gloss=8.0),
-    "concrete": Look(SLABS, 0.28, 0.8, 0.006),
+    "concrete": Look(SLABS, 0.28, 0.4, 0.006),
     "paving": Look(SETTS, 0.26, 1.2, 0.008),
     "brick": Look(BRICK, 0.26, 1.2, 0.008),
     "plaster": Look(PLASTER, 0.24, 2.4, 0.010),
