@@ -370,7 +370,8 @@ def import_drive(recording: Recording, name: str, mcap_path: str | Path, frames_
         mcap_path: drive.mcap.
         frames_path: frames.csv, one row per message of `/lidar`, in this order, with its status.
         truth_folder: gets poses.csv and poses.tum, labels/<frame>.npy and instances/<frame>.npy (uint32, the source's ids, in the order
-            of the points), as far as there is truth; and truth.yaml, with the extrinsics, which says what there is.
+            of the points), masks/<image>.npz (instances and labels of the pixels), as far as there is truth; and truth.yaml, with
+            the extrinsics, which says what there is.
     Returns:
         how many frames have each status.
     Raises:
@@ -397,6 +398,9 @@ def import_drive(recording: Recording, name: str, mcap_path: str | Path, frames_
                 case CameraImage():
                     if record.status == "ok" and model is not None and model.width and image_size(record) != (model.width, model.height):
                         record.status = "other_size"
+                    if record.instances is not None:
+                        with atomic_path(truth / "masks" / f"{table.n_images:06d}.npz") as partial, partial.open("wb") as stream:
+                            np.savez_compressed(stream, instances=record.instances, labels=record.labels)
                     table.add_image(record)
                     if record.status == "ok":
                         writer.write_image(record)
@@ -440,6 +444,10 @@ class _FrameTable:
     @property
     def n_frames(self) -> int:
         return len(self.rows)
+
+    @property
+    def n_images(self) -> int:
+        return len(self.image_ns)
 
     def add_frame(self, frame: LidarFrame, pose: np.ndarray | None) -> None:
         self.last_time_ns = max(self.last_time_ns, frame.time_ns)

@@ -77,7 +77,8 @@ class CameraImage:
     """One compressed image.
 
     `time_ns` is the middle of its exposure, `format` is `png` or `jpeg`, status `ok`, `missing`, `unreadable`, or `other_size`
-    than its calibration.
+    than its calibration. `instances` (H, W) uint32 and `labels` (H, W) uint8 are the true object and class of each pixel, or None;
+    they never go into the drive's file.
     """
 
     time_ns: int
@@ -85,6 +86,8 @@ class CameraImage:
     format: str
     status: str = "ok"
     source: str = ""
+    instances: np.ndarray | None = None
+    labels: np.ndarray | None = None
 
 
 @dataclass
