@@ -125,6 +125,11 @@ def street_of(wildcards):
     """The street a simulated drive goes through, as the map of its data set was made with."""
     simulation = drive_facts(wildcards.drive)["simulation"]
     known = facts(simulation["dataset"])
+    if known["source"] != "simulate" or simulation["split"] not in known["parts"]:
+        found = f"{simulation['dataset']}/{simulation['split']}"
+        raise WorkflowError(
+            f"{DRIVES / wildcards.drive}.yaml: {found} is no simulated street; name a data set of source simulate and its part."
+        )
     return known["simulation"]["street"] | {"length_m": known["parts"][simulation["split"]]["length_m"], "crs": known["crs"]}
 
 

@@ -16,10 +16,12 @@ from streetscan import geodesy, geometry
 from streetscan.classes import FACADE, GROUND
 from streetscan.drives import read_drive_facts
 from streetscan.errors import BadInput
-from streetscan.frames import GpsFix, LidarFrame, Mounting
-from streetscan.io.mcap import iterate_drive, iterate_lidar
+from streetscan.frames import CameraImage, GpsFix, LidarFrame, Mounting
+from streetscan.io.images import decode_image
+from streetscan.io.mcap import iterate_drive, iterate_lidar, read_camera_model
 from streetscan.io.trajectories import read_poses_csv, read_tum
 from streetscan.simulation import drives
+from streetscan.simulation.camera import project
 from streetscan.simulation.changes import Day
 from streetscan.simulation.layout import build_street
 
@@ -189,3 +191,68 @@ def test_a_drive_without_its_section_is_refused(tmp_path):
     (tmp_path / "f.yaml").write_text(yaml.safe_dump(facts))
     with pytest.raises(BadInput, match="'simulation' is a required property"):
         read_drive_facts(tmp_path / "f.yaml", SCHEMA)
+
+
+CAMERA = {"xyz_m": [1.25, 0.08, 1.58], "rpy_deg": [0.6, 1.5, -0.8], "n_keyframes": 1, "window": 3, "time_offset_s": 0.004}
+SMALL = {"width": 321, "height": 241, "focal_px": 250.0}
+
+
+@pytest.fixture(scope="module")
+def filmed(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("filmed")
+    facts = write_changed(folder / "f.yaml", n_frames=4, camera=CAMERA | {"settings": SMALL, "previews_per_s": 0})
+    return run(folder, facts)
+
+
+def test_images_stand_in_windows_at_the_full_rate():
+    mount = drives.CameraMount(**CAMERA)
+    times = mount.image_times(6.0)
+    numbers = [round(t * 28 - 0.5) for t, _ in times]
+    # A window of 3 in the middle of 6 s, and one preview in each second; only the window's images follow one another.
+    assert [n for n in numbers if 80 < n < 90] == [82, 83, 84]
+    assert {14, 42, 70, 98, 126, 154} <= set(numbers)
+    assert len(numbers) == 9
+    assert [n for n, (_, follows) in zip(numbers, times, strict=True) if follows] == [83, 84]
+    every = drives.CameraMount(**CAMERA | {"is_full_rate": True}).image_times(6.0)
+    assert len(every) == 168
+    assert sum(follows for _, follows in every) == 167
+
+
+def test_images_masks_and_lidar_agree_through_the_true_extrinsics(filmed):
+    """Lidar points carried to the moment of an image by the true poses fall on pixels of their own object."""
+    images = [r for r in iterate_drive(filmed / "drive.mcap") if isinstance(r, CameraImage)]
+    truth = yaml.safe_load((filmed / "truth" / "truth.yaml").read_text())
+    _, stamps, T_map_camera = read_poses_csv(filmed / "truth" / "camera_poses.csv")
+    assert len(images) == 3
+    assert stamps == pytest.approx([i.time_ns / 1e9 for i in images], abs=1e-6)
+    assert np.diff(stamps) == pytest.approx([1 / 28] * 2, abs=1e-6)
+    times_s, trajectory = read_tum(filmed / "truth" / "trajectory.tum")
+    offset_s = truth["extrinsics"]["time_offset_s"]
+    at_image = geometry.interpolate_poses(stamps - offset_s, times_s, trajectory)
+    T_vehicle_camera, T_vehicle_lidar = (np.array(truth["mountings"][f"T_vehicle_{s}"]) for s in ("camera", "lidar"))
+    assert np.abs(at_image @ T_vehicle_camera - T_map_camera).max() < 1e-4
+    assert np.allclose(np.array(truth["extrinsics"]["T_camera_lidar"]), geometry.invert(T_vehicle_camera) @ T_vehicle_lidar)
+
+    model = read_camera_model(filmed / "drive.mcap")
+    frames = list(iterate_lidar(filmed / "drive.mcap"))
+    image = images[1]
+    row = int(np.argmin([abs(f.time_ns - image.time_ns) for f in frames]))
+    frame, instances = frames[row], np.load(filmed / "truth" / "instances" / f"{row:06d}.npy")
+    fired = geometry.interpolate_poses(frame.time_ns / 1e9 + frame.time_offset_s.astype(np.float64), times_s, trajectory)
+    points = geometry.apply(geometry.invert(T_map_camera[1]), geometry.apply(fired @ T_vehicle_lidar, frame.points))
+    pixels = project(points, model)
+    inside = np.isfinite(pixels).all(axis=1) & (np.abs(pixels - [160, 120]) < [159, 119]).all(axis=1) & (points[:, 2] < 20)
+    u, v = np.round(pixels[inside]).astype(int).T
+    with np.load(filmed / "truth" / "masks" / "000001.npz") as mask:
+        seen, shape = mask["instances"][v, u], mask["labels"].shape
+    assert shape == (241, 321)
+    assert inside.sum() > 3000
+    # The camera sees past edges where the lidar does not; most of what both see is the same.
+    assert (seen == instances[inside]).mean() > 0.85
+    assert decode_image(image).shape == (241, 321, 3)
+
+
+def test_frames_say_whether_they_have_an_image_and_the_file_does_not_tell_where_the_camera_is(filmed):
+    table = pd.read_csv(filmed / "frames.csv")
+    assert set(table["image_status"]) == {"ok", "missing"}
+    assert [m.child for m in iterate_drive(filmed / "drive.mcap") if isinstance(m, Mounting)] == ["lidar", "gps"]
