@@ -104,6 +104,7 @@ class SimulatedDrive:
     start_m: float = 0.0
     number: int = 0
     backwards: bool = False
+    blocks: tuple[int, int] | None = None
     traffic_density: float | None = None
     day: Day = field(default_factory=Day)
     lidar: dict = field(default_factory=dict)
@@ -114,7 +115,8 @@ class SimulatedDrive:
 def read_simulation(values: dict) -> SimulatedDrive:
     """The section as read from YAML, checked against the schema before."""
     parts = {"day": Day, "gps": Gps, "camera": CameraMount}
-    return SimulatedDrive(**{k: parts[k](**v) if k in parts else v for k, v in values.items()})
+    plain = {k: tuple(v) if isinstance(v, list) else v for k, v in values.items()}
+    return SimulatedDrive(**{k: parts[k](**v) if k in parts else v for k, v in plain.items()})
 
 
 class SimulatedRecording:
@@ -156,7 +158,8 @@ class SimulatedRecording:
         self._end_s = drive.n_frames / facts.rate_hz
 
         changed = street if drive.traffic_density is None else street | {"traffic_density": drive.traffic_density}
-        scene = build_street(split=drive.split, seed=seed, day=drive.day, time_span_s=(-10.0, self._end_s + 5.0), **changed)
+        span_s = (-10.0, self._end_s + 5.0)
+        scene = build_street(split=drive.split, seed=seed, day=drive.day, time_span_s=span_s, block=drive.blocks, **changed)
         self._crs = scene.crs
         self._trajectory = _plan(scene, drive, self._end_s, self._seed, facts.where)
         self._scene = without_collisions(scene, self._trajectory)
