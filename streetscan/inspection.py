@@ -36,7 +36,7 @@ class Inspection:
         labels: true classes (N,) uint8 of the pictured frames, by their row, where the truth has ours.
         changes: what became of each object of the street since the map's day (class, change, x_m, y_m), or None.
         pictured: a few whole lidar frames, evenly spread, by their row.
-        images: the image nearest to each of them, where there is one.
+        images: the image of each of them that has one.
     """
 
     frames: pd.DataFrame
@@ -101,7 +101,8 @@ class Inspection:
         numbers["firing times"] = (
             "0: the source is de-skewed" if is_de_skewed else f"{offsets.iloc[0]:.4f} to {offsets.iloc[1]:.4f} s about forward (median)"
         )
-        numbers["images"] = _counts(frames["image_status"])
+        has_camera = (frames["image_status"] != "none").any()
+        numbers["images"] = _counts(frames["image_status"]) if has_camera else "none: there is no camera"
         numbers["fixes"] = str(len(self.fixes)) if len(self.fixes) else "none: there is no /gps"
         if len(self.fixes) > 1:
             numbers["GPS track"] = f"{path_length_m(fix_track_m(self.fixes)):.1f} m"
@@ -141,6 +142,8 @@ def inspect_drive(mcap_path: str | Path, frames_path: str | Path, truth_folder: 
     rows = _pictured_rows(frames, n_pictured)
     pictured, images, fixes, mountings, model = {}, {}, [], [], None
     nearest_ns = dict.fromkeys(rows, 2**62)
+    # An image farther away than half a revolution shows another place.
+    rows_with_image = [row for row in rows if frames["image_status"].iloc[row] == "ok"]
     stamps = {row: round(frames["time_s"].iloc[row] * 1e9) for row in rows}
     row = 0
     for record in iterate_drive(mcap_path):
@@ -150,7 +153,8 @@ def inspect_drive(mcap_path: str | Path, frames_path: str | Path, truth_folder: 
                     pictured[row] = record
                 row += 1
             case CameraImage():
-                for wanted, stamp in stamps.items():
+                for wanted in rows_with_image:
+                    stamp = stamps[wanted]
                     if (gap := abs(record.time_ns - stamp)) < nearest_ns[wanted]:
                         nearest_ns[wanted], images[wanted] = gap, record
             case GpsFix():
@@ -232,11 +236,13 @@ def _read_frames(path: str | Path) -> pd.DataFrame:
 
 
 def _pictured_rows(frames: pd.DataFrame, n: int) -> list[int]:
-    """Rows spread evenly over the frames that hold points, those with an image first."""
-    has_points = frames["n_points"].to_numpy() > 0
-    candidates = np.flatnonzero(has_points & (frames["image_status"] == "ok").to_numpy())
-    if len(candidates) < n:
-        candidates = np.flatnonzero(has_points)
+    """Rows spread evenly over the frames that are whole and have an image; failing that whole; failing that with points."""
+    has_points, is_whole = frames["n_points"].to_numpy() > 0, (frames["status"] == "ok").to_numpy()
+    has_image = (frames["image_status"] == "ok").to_numpy()
+    for wanted in (has_points & is_whole & has_image, has_points & is_whole, has_points):
+        candidates = np.flatnonzero(wanted)
+        if len(candidates) >= n:
+            break
     chosen = candidates[np.unique(np.linspace(0, len(candidates) - 1, n).round().astype(int))] if len(candidates) else []
     return [int(row) for row in chosen]
 

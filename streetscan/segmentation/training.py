@@ -49,6 +49,9 @@ class Schedule:
         samples_per_epoch: samples drawn for an epoch (all where there are fewer).
         learning_rate: at the start.
         momentum: of SGD.
+        averaging: the network that is scored and kept is the running mean of the weights, in which a batch's weights fade by this
+            factor with each later one; 0 takes the last weights. ASSUME: the thesis has none; it takes out the noise of the last
+            steps without waiting for the rate to fall.
         max_gradient: a batch's gradient is shortened to this length. ASSUME: the thesis names no limit; without normalisation
             layers a few dense patches give steps so long that ReLUs die for good.
         lr_factor: the learning rate is multiplied by this when the validation accuracy stops rising (N-022).
@@ -67,6 +70,7 @@ class Schedule:
     samples_per_epoch: int = 200_000
     learning_rate: float = 0.05
     momentum: float = 0.9
+    averaging: float = 0.0
     max_gradient: float = 1.0
     lr_factor: float = 0.3
     lr_patience: int = 1
@@ -87,6 +91,8 @@ class Schedule:
             raise BadInput(
                 "learning_rate", f"{self.learning_rate} with momentum {self.momentum}", "give a rate above 0, a momentum in [0, 1)"
             )
+        if not 0 <= self.averaging < 1:
+            raise BadInput("averaging", f"{self.averaging} is not in [0, 1)", "give the factor by which older weights fade, 0 for none")
         if not self.max_gradient > 0:
             raise BadInput("max_gradient", f"{self.max_gradient} is not above 0", "give the longest gradient, such as 1")
         if not 0 < self.lr_factor < 1 or self.lr_patience < 0:
@@ -305,6 +311,7 @@ def train(
         optimizer, "max", schedule.lr_factor, schedule.lr_patience, threshold=1e-3, threshold_mode="abs"
     )
     rng = np.random.default_rng(schedule.seed)
+    averaged = copy.deepcopy(network)
     history, best = [], copy.deepcopy(network.state_dict())
     checkpoint = None
     if resume_folder is not None:
@@ -312,6 +319,7 @@ def train(
         if checkpoint.is_file():
             state = torch.load(checkpoint, weights_only=True)
             network.load_state_dict(state["network"])
+            averaged.load_state_dict(state["averaged"])
             optimizer.load_state_dict(state["optimizer"])
             scheduler.load_state_dict(state["scheduler"])
             rng.bit_generator.state = json.loads(state["rng"])
@@ -321,11 +329,11 @@ def train(
         for epoch in range(len(history) + 1, schedule.n_epochs + 1):
             start = time.perf_counter()
             learning_rate = optimizer.param_groups[0]["lr"]
-            train_loss, train_accuracy = _run_epoch(network, training, schedule, weights, rng, optimizer, workers, epoch)
-            validation_loss, validation_accuracy = score(network, validation, weights, workers)
+            train_loss, train_accuracy = _run_epoch(network, averaged, training, schedule, weights, rng, optimizer, workers, epoch)
+            validation_loss, validation_accuracy = score(averaged, validation, weights, workers)
             scheduler.step(validation_accuracy)
             if validation_accuracy > max((row["validation_accuracy"] for row in history), default=-1.0):
-                best = copy.deepcopy(network.state_dict())
+                best = copy.deepcopy(averaged.state_dict())
             history.append(
                 {
                     "epoch": epoch,
@@ -341,8 +349,8 @@ def train(
             text = "epoch %d of %d: loss %.3f, accuracy %.3f; validation %.3f, %.3f; learning rate %.4g; %d min %02d s left"
             logger.info(text, epoch, schedule.n_epochs, *list(history[-1].values())[1:6], *divmod(round(left_s), 60))
             if checkpoint is not None:
-                state = {"network": network.state_dict(), "optimizer": optimizer.state_dict(), "scheduler": scheduler.state_dict()}
-                state |= {"rng": json.dumps(rng.bit_generator.state), "history": history, "best": best}
+                state = {"network": network.state_dict(), "averaged": averaged.state_dict(), "optimizer": optimizer.state_dict()}
+                state |= {"scheduler": scheduler.state_dict(), "rng": json.dumps(rng.bit_generator.state), "history": history, "best": best}
                 with atomic_path(checkpoint) as partial:
                     torch.save(state, partial)
     network.load_state_dict(best)
@@ -366,6 +374,7 @@ def score(network: C2CNN, part: Part, weights: torch.Tensor, workers: Executor) 
 
 def _run_epoch(
     network: C2CNN,
+    averaged: C2CNN,
     part: Part,
     schedule: Schedule,
     weights: torch.Tensor,
@@ -397,12 +406,21 @@ def _run_epoch(
             parameter.grad = sum(gradients) / n_samples
         torch.nn.utils.clip_grad_norm_(parameters, schedule.max_gradient)
         optimizer.step()
+        _average(averaged, network, schedule.averaging, (epoch - 1) * len(batches) + i)
         for result in results:
             tally.add(*result[1:])
         if time.perf_counter() - last_message > 30:
             last_message = time.perf_counter()
             logger.info("epoch %d: %d of %d batches, loss %.3f", epoch, i + 1, len(batches), tally.loss)
     return tally.loss, tally.accuracy
+
+
+def _average(averaged: C2CNN, network: C2CNN, factor: float, n_before: int) -> None:
+    """Move the running mean towards a network's weights; the first weights, far from any good ones, fade faster."""
+    factor = min(factor, n_before / (n_before + 10))
+    with torch.no_grad():
+        for mean, latest in zip(averaged.parameters(), network.parameters(), strict=True):
+            mean.lerp_(latest, 1 - factor)
 
 
 class _Tally:
