@@ -57,9 +57,14 @@ def plate(x: float, y: float, z: float, size: float, surface: Surface = BLACK, i
     return mesh
 
 
-def floor(reach: float = 400.0) -> Mesh:
-    """Something below the view; a scene needs a mesh."""
-    return quads(np.array([[[-9.0, -9, -reach], [-8, -9, -reach], [-8, -8, -reach], [-9, -8, -reach]]]), Surface(GROUND, "rubber", (0, 0, 0)))
+def level(low: float, high: float, z: float, surface: Surface) -> Mesh:
+    """A level square from (low, low) to (high, high)."""
+    return quads(np.array([[[low, low, z], [high, low, z], [high, high, z], [low, high, z]]]), surface)
+
+
+def floor() -> Mesh:
+    """Something out of view: a scene needs a mesh."""
+    return level(-9.0, -8.0, -400.0, BLACK)
 
 
 def outline_middle(x: float, y: float, z: float, size: float, camera: Camera, camera_position=(0.0, 0.0, 2.0)) -> np.ndarray:
@@ -218,7 +223,9 @@ def test_the_automatic_finds_the_exposure_in_light_and_in_shade():
     # After a jump into the dark it takes some pictures.
     auto, values = AutoExposure(chosen[0]), []
     for _ in range(8):
-        values.append(linear(render(SceneCaster(dark, 0.5, 1.5), still(), AHEAD, camera, 1.0, auto, np.random.default_rng(0), CLEAR).rgb).mean())
+        values.append(
+            linear(render(SceneCaster(dark, 0.5, 1.5), still(), AHEAD, camera, 1.0, auto, np.random.default_rng(0), CLEAR).rgb).mean()
+        )
     assert values[0] < 0.3 * camera.target
     assert values[1] > values[0]
     assert values[-1] == pytest.approx(camera.target, rel=0.4)
@@ -237,7 +244,7 @@ def test_gain_comes_after_the_longest_exposure():
 
 
 def test_a_box_throws_its_shadow_away_from_the_sun():
-    ground = quads(np.array([[[-50.0, -50, 0], [50, -50, 0], [50, 50, 0], [-50, 50, 0]]]), Surface(GROUND, "concrete", (140, 140, 140)))
+    ground = level(-50.0, 50.0, 0.0, Surface(GROUND, "concrete", (140, 140, 140)))
     pole = box((11.5, -0.5, 0), (12.5, 0.5, 4), Surface(FACADE, "concrete", (140, 140, 140)))
     sun = Daylight(sun_azimuth_deg=90.0, sun_elevation_deg=45.0, clouds=0.0)  # to the left: the shadow falls to the right, 4 m long
     picture = linear(take(Scene(join([ground, pole])), SMALL, still(), exposure_s=4e-4, daylight=sun).rgb)
@@ -253,7 +260,9 @@ def test_a_box_throws_its_shadow_away_from_the_sun():
 def test_low_sun_saturates_and_a_dark_day_does_not():
     facing = Daylight(sun_azimuth_deg=0.0, sun_elevation_deg=6.0, clouds=0.0)
     ground = quads(np.array([[[-50.0, -50, 0], [90, -50, 0], [90, 50, 0], [-50, 50, 0]]]), Surface(GROUND, "asphalt", (82, 82, 84)))
-    low, overcast = (take(Scene(ground), SMALL, still(), daylight=d, exposure_s=1.2e-3).rgb for d in (facing, Daylight(haze=1.0, clouds=0.0)))
+    low, overcast = (
+        take(Scene(ground), SMALL, still(), daylight=d, exposure_s=1.2e-3).rgb for d in (facing, Daylight(haze=1.0, clouds=0.0))
+    )
     is_white = (low == 255).all(axis=2)
     assert is_white.sum() > 20
     v, u = (int(np.median(c)) for c in np.nonzero(is_white))
