@@ -24,6 +24,8 @@ from streetscan.simulation.recording import Trajectory
 # Poses are laid down this often within one exposure, linear between.
 _POSES_PER_EXPOSURE = 17
 _CHUNK_RAYS = 1_300_000
+# An edge fainter than this (difference over sum of both sides) is left as it is.
+_LEAST_EDGE = 0.04
 # R_vehicle_camera of a camera that looks forward: x right, y down, z forward in a frame of x forward, y left, z up.
 _FORWARD = np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]])
 
@@ -278,13 +280,14 @@ def _expose(lighting: Lighting, camera: Camera, poses: _Poses, rng: np.random.Ge
     pixels = np.stack(np.meshgrid(np.arange(camera.width), np.arange(camera.height)), axis=-1).reshape(-1, 2).astype(np.int32)
     n = len(pixels)
     seen, openness = _trace(lighting, camera, poses, pixels, np.zeros((n, 2)), np.full(n, 0.5), shape=shape)
-    counts = _count_rays(
+    on_edges, on_ways = _count_rays(
         seen.hits.faces.reshape(shape),
         seen.hits.actors.reshape(shape),
         seen.hits.distances_m.reshape(shape),
         seen.points.reshape(*shape, 3),
         seen.normals.reshape(*shape, 3),
         seen.sunlit.reshape(shape),
+        seen.radiance.reshape(*shape, 3),
         lighting.caster.instances,
         lighting.caster.materials,
         *lighting.caster.paths,
@@ -297,9 +300,9 @@ def _expose(lighting: Lighting, camera: Camera, poses: _Poses, rng: np.random.Ge
         camera.blur_rays,
     )
     faces, total = seen.hits.faces, seen.radiance.astype(np.float64)
-    # A fast object's blur reaches half its way beyond its mid-exposure outline.
-    counts = cv2.dilate(counts, np.ones((camera.blur_rays + 1,) * 2, np.uint8)) if (counts > camera.edge_rays).mean() < 0.02 else counts
-    flat = counts.ravel().astype(np.int64)
+    # The blur of a fast object reaches half its way beyond its mid-exposure outline.
+    reach = int(on_ways.max()) // 2
+    flat = np.maximum(on_edges, cv2.dilate(on_ways, np.ones((2 * reach + 1,) * 2, np.uint8))).ravel().astype(np.int64)
     rows = np.repeat(np.arange(n), flat)
     number = np.arange(len(rows)) - np.repeat(np.cumsum(flat) - flat, flat)
     shifts = rng.random((n, 3))[rows]
@@ -356,6 +359,7 @@ def _count_rays(
     points,
     normals,
     sunlit,
+    radiance,
     instances,
     materials,
     path,
@@ -368,9 +372,9 @@ def _count_rays(
     edge_rays,
     blur_rays,
 ):
-    """(H, W) uint8 further rays of each pixel: some where a neighbour differs, one for each pixel it moves."""
+    """Twice (H, W) uint8 further rays of each pixel: where it shows another surface than its neighbour, and for the way it moves."""
     height, width = faces.shape
-    counts = np.zeros((height, width), np.uint8)
+    on_edges, on_ways = np.zeros((height, width), np.uint8), np.zeros((height, width), np.uint8)
     for i in numba.prange(height):
         for j in range(width):
             face, is_edge = faces[i, j], False
@@ -380,18 +384,24 @@ def _count_rays(
                 other = faces[a, b]
                 if other == face and sunlit[a, b] == sunlit[i, j]:
                     continue
+                here, there = 0.0, 0.0
+                for k in range(3):
+                    here += radiance[i, j, k]
+                    there += radiance[a, b, k]
+                if abs(here - there) < _LEAST_EDGE * (here + there):
+                    continue
                 if face < 0 or other < 0 or sunlit[a, b] != sunlit[i, j] or materials[face] != materials[other]:
                     is_edge = True
                     break
-                along = 0.0
-                off = 0.0
+                along, off = 0.0, 0.0
                 for k in range(3):
                     along += normals[i, j, k] * normals[a, b, k]
                     off += normals[i, j, k] * (points[a, b, k] - points[i, j, k])
                 if instances[face] != instances[other] or along < 0.95 or abs(off) > 0.01 + 0.003 * distances_m[i, j]:
                     is_edge = True
                     break
-            count = edge_rays if is_edge else 0
+            if is_edge:
+                on_edges[i, j] = edge_rays
             # How far the place moves in the picture from the exposure's start to its end.
             first, last = np.zeros(3), np.zeros(3)
             for k in range(3):
@@ -408,10 +418,9 @@ def _count_rays(
                 dx = before[0] / max(before[2], 0.1) - after[0] / max(after[2], 0.1)
                 dy = before[1] / max(before[2], 0.1) - after[1] / max(after[2], 0.1)
                 moved = focal_px * np.sqrt(dx * dx + dy * dy)
-                if moved > 0.6:
-                    count = max(count, min(np.int64(np.ceil(moved)), blur_rays))
-            counts[i, j] = count
-    return counts
+                # Up to a pixel's way the ray at mid-exposure does.
+                on_ways[i, j] = min(np.int64(np.ceil(max(moved - 0.9, 0.0))), blur_rays)
+    return on_edges, on_ways
 
 
 def _develop(linear: np.ndarray, gain: float, camera: Camera, rng: np.random.Generator) -> np.ndarray:

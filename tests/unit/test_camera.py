@@ -57,11 +57,14 @@ def plate(x: float, y: float, z: float, size: float, surface: Surface = BLACK, i
     return mesh
 
 
-def floor(reach: float = 400.0) -> Mesh:
-    """Something below the view; a scene needs a mesh."""
-    return quads(
-        np.array([[[-9.0, -9, -reach], [-8, -9, -reach], [-8, -8, -reach], [-9, -8, -reach]]]), Surface(GROUND, "rubber", (0, 0, 0))
-    )
+def level(low: float, high: float, z: float, surface: Surface) -> Mesh:
+    """A level square from (low, low) to (high, high)."""
+    return quads(np.array([[[low, low, z], [high, low, z], [high, high, z], [low, high, z]]]), surface)
+
+
+def floor() -> Mesh:
+    """Something out of view: a scene needs a mesh."""
+    return level(-9.0, -8.0, -400.0, BLACK)
 
 
 def outline_middle(x: float, y: float, z: float, size: float, camera: Camera, camera_position=(0.0, 0.0, 2.0)) -> np.ndarray:
@@ -241,7 +244,7 @@ def test_gain_comes_after_the_longest_exposure():
 
 
 def test_a_box_throws_its_shadow_away_from_the_sun():
-    ground = quads(np.array([[[-50.0, -50, 0], [50, -50, 0], [50, 50, 0], [-50, 50, 0]]]), Surface(GROUND, "concrete", (140, 140, 140)))
+    ground = level(-50.0, 50.0, 0.0, Surface(GROUND, "concrete", (140, 140, 140)))
     pole = box((11.5, -0.5, 0), (12.5, 0.5, 4), Surface(FACADE, "concrete", (140, 140, 140)))
     sun = Daylight(sun_azimuth_deg=90.0, sun_elevation_deg=45.0, clouds=0.0)  # to the left: the shadow falls to the right, 4 m long
     picture = linear(take(Scene(join([ground, pole])), SMALL, still(), exposure_s=4e-4, daylight=sun).rgb)
