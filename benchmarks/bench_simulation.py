@@ -1,4 +1,4 @@
-"""How long a street takes to simulate, and how time and memory grow with its points."""
+"""How long a street takes to simulate, how time and memory grow with its points, and how long a camera's picture takes."""
 
 import resource
 import subprocess
@@ -7,6 +7,7 @@ import time
 
 # Pulse rates of one 120 m street: about 1, 2 and 4 million points.
 PULSE_RATES = (20_000, 40_000, 80_000)
+N_PICTURES = 4
 _JOB = "from benchmarks.bench_simulation import record_street_alone as f; f({})"
 
 
@@ -18,7 +19,52 @@ def bench_simulation() -> list[dict]:
         n_points, seconds, peak_mib = (float(v) for v in output.split())
         for metric, value, unit in (("time per million points", seconds / n_points * 1e6, "s"), ("peak memory", peak_mib, "MiB")):
             rows.append({"benchmark": "simulate_city", "metric": metric, "value": value, "unit": unit, "peer": "", "n": int(n_points)})
-    return rows
+    return rows + bench_camera()
+
+
+def bench_camera() -> list[dict]:
+    """Rows of a picture of 1288 x 964 pixels in a street with heavy traffic, and of the share that casting rays takes of it."""
+    import numpy as np
+
+    from streetscan.simulation.camera import Camera, mount_camera, render, settle_exposure
+    from streetscan.simulation.layout import build_street
+    from streetscan.simulation.raycasting import SceneCaster
+    from streetscan.simulation.recording import drive_road
+
+    class TimedCaster(SceneCaster):
+        seconds = 0.0
+
+        def _timed(self, method, *rays):
+            started = time.perf_counter()
+            found = method(*rays)
+            self.seconds += time.perf_counter() - started
+            return found
+
+        def cast(self, *rays):
+            return self._timed(super().cast, *rays)
+
+        def is_blocked(self, *rays):
+            return self._timed(super().is_blocked, *rays)
+
+    scene = build_street(120.0, "train", 1)
+    trajectory = drive_road(scene.roads[0], 30.0, scene.lane_offset_m, 0.0, np.random.default_rng(0))
+    caster, camera, T_vehicle_camera = TimedCaster(scene, 2.0, 5.0), Camera(), mount_camera((0.5, 0.0, 1.9), pitch_deg=2.0)
+    auto_exposure = settle_exposure(caster, trajectory, T_vehicle_camera, camera, 2.5)
+    times_s, rng = np.linspace(2.5, 4.5, N_PICTURES + 1), np.random.default_rng(0)
+    render(caster, trajectory, T_vehicle_camera, camera, times_s[0], auto_exposure, rng)
+    caster.seconds, started, cpu_started = 0.0, time.perf_counter(), time.process_time()
+    for time_s in times_s[1:]:
+        render(caster, trajectory, T_vehicle_camera, camera, time_s, auto_exposure, rng)
+    seconds, cpu_seconds = time.perf_counter() - started, time.process_time() - cpu_started
+    figures = (
+        ("time per image", seconds / N_PICTURES, "s"),
+        ("processor time per image", cpu_seconds / N_PICTURES, "s"),
+        ("share of ray casting", caster.seconds / seconds, ""),
+    )
+    return [
+        {"benchmark": "camera", "metric": metric, "value": value, "unit": unit, "peer": "", "n": N_PICTURES}
+        for metric, value, unit in figures
+    ]
 
 
 def record_street_alone(pulses_per_s: float) -> None:
