@@ -1,4 +1,4 @@
-"""How long a street and a drive take to simulate, what share is ray casting, and how time and memory grow with a street's points.
+"""How long a street takes to simulate, and how time and memory grow with its points.
 
 Streets grow longer, as a city does; each is recorded in a process of its own, whose highest memory Linux keeps (VmHWM). A child's
 ru_maxrss would begin with its parent's.
@@ -10,13 +10,9 @@ import sys
 import time
 from pathlib import Path
 
-import numpy as np
-
 # (metres, pulses per second of each scanner): about 5, 25 and 100 million points; the last at the scanner's own rates.
 STREETS = ((120.0, 80_000.0), (360.0, 140_000.0), (360.0, 550_000.0))
 _JOB = "from benchmarks.bench_simulation import record_street_alone as f; f({}, {})"
-_FRAMES_JOB = "from benchmarks.bench_simulation import record_frames_alone as f; f()"
-N_FRAMES = 20
 
 
 def bench_simulation(streets: tuple[tuple[float, float], ...] = STREETS) -> list[dict]:
@@ -33,42 +29,7 @@ def bench_simulation(streets: tuple[tuple[float, float], ...] = STREETS) -> list
             rows.append({"benchmark": "simulate_city", "metric": metric, "value": value, "unit": unit, "peer": "", "n": int(n_points)})
     growth = {"metric": "time per million points, largest over smallest", "value": paces[-1] / paces[0], "unit": "", "n": int(n_points)}
     rows.append({"benchmark": "simulate_city", "peer": "", **growth})
-    output = subprocess.run([sys.executable, "-c", _FRAMES_JOB], check=True, capture_output=True, text=True).stdout
-    frame_s, share = (float(v) for v in output.split())
-    for metric, value, unit in (("time per lidar frame", frame_s, "s"), ("share of ray casting", share, "1")):
-        rows.append({"benchmark": "simulate_drive", "metric": metric, "value": value, "unit": unit, "peer": "", "n": N_FRAMES})
     return rows
-
-
-def record_frames_alone() -> None:
-    """Record frames of a HDL-64E on the city's main road; prints seconds per frame and the share of them spent casting rays."""
-    from streetscan import geometry
-    from streetscan.simulation.changes import Day
-    from streetscan.simulation.layout import build_street
-    from streetscan.simulation.raycasting import SceneCaster
-    from streetscan.simulation.receiver import Receiver
-    from streetscan.simulation.recording import drive_road, without_collisions
-    from streetscan.simulation.rotating_lidar import HDL64E_RECEIVER, RotatingLidar, nominal_beams, record_frame
-
-    class TimedCaster(SceneCaster):
-        casting_s = 0.0
-
-        def cast(self, *arguments):
-            started = time.perf_counter()
-            hits = super().cast(*arguments)
-            self.casting_s += time.perf_counter() - started
-            return hits
-
-    scene = build_street(120.0, "train", 1, day=Day(), time_span_s=(-10.0, 10.0))
-    trajectory = drive_road(scene.places["main_road"][0], 25.0, scene.lane_offset_m, 0.0, np.random.default_rng(1))
-    caster = TimedCaster(without_collisions(scene, trajectory), 0.0, 10.0)
-    lidar = RotatingLidar(nominal_beams(1), 10.0, geometry.transform((0.8, 0.0, 1.73)), Receiver(**HDL64E_RECEIVER))
-    record_frame(caster, lidar, trajectory, 0, 1)  # the first one compiles
-    caster.casting_s, started = 0.0, time.perf_counter()
-    for number in range(N_FRAMES):
-        record_frame(caster, lidar, trajectory, number, 1)
-    seconds = time.perf_counter() - started
-    print(seconds / N_FRAMES, caster.casting_s / seconds)
 
 
 def record_street_alone(length_m: float, pulses_per_s: float) -> None:
