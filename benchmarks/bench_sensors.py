@@ -62,7 +62,7 @@ def _time(caster: TimedCaster, name: str, record, n: int) -> list[dict]:
     figures = (
         (f"time per {name}", seconds / n, "s"),
         (f"processor time per {name}", cpu_seconds / n, "s"),
-        (f"share of ray casting in a {name}", caster.seconds / seconds, ""),
+        (f"share of ray casting, {name}", caster.seconds / seconds, ""),
     )
     return [
         {"benchmark": "simulate_drive", "metric": metric, "value": value, "unit": unit, "peer": "", "n": n}
