@@ -28,7 +28,8 @@ def bench_simulation(streets: tuple[tuple[float, float], ...] = STREETS) -> list
         for metric, value, unit in (("time per million points", paces[-1], "s"), ("peak memory", peak_mib, "MiB")):
             rows.append({"benchmark": "simulate_city", "metric": metric, "value": value, "unit": unit, "peer": "", "n": int(n_points)})
     growth = {"metric": "time per million points, largest over smallest", "value": paces[-1] / paces[0], "unit": "", "n": int(n_points)}
-    return [*rows, {"benchmark": "simulate_city", "peer": "", **growth}]
+    rows.append({"benchmark": "simulate_city", "peer": "", **growth})
+    return rows
 
 
 def record_street_alone(length_m: float, pulses_per_s: float) -> None:

@@ -76,8 +76,8 @@ rule evaluate_drive_realism:
     """The same statistics of a drive's frames merged at their true poses."""
     input:
         code=library("evaluate_drive_realism"),
-        drive="results/import_drive/{drive}/drive.mcap",
-        truth="results/import_drive/{drive}/truth",
+        drive=drive_file("drive.mcap"),
+        truth=drive_file("truth"),
     output:
         table="results/evaluate_drive_realism/{drive}/realism.csv",
     log:
@@ -114,6 +114,29 @@ rule evaluate_density:
         seed=config["seed"],
     script:
         "../scripts/evaluate_density.py"
+
+
+rule evaluate_sensor:
+    """The frames of a simulated drive beside those of a real sensor: returns per beam, distances, rings on the road."""
+    input:
+        code=library("evaluate_sensor"),
+        drive=drive_file("drive.mcap"),
+        reference=drive_file("drive.mcap", config["evaluate_sensor"]["reference"]),
+    output:
+        scores="results/evaluate_sensor/{drive}/scores.csv",
+        picture="results/evaluate_sensor/{drive}/comparison.png",
+    log:
+        "results/evaluate_sensor/{drive}/scores.log",
+    conda:
+        "../envs/streetscan.yaml"
+    resources:
+        mem_mb=1000,
+    params:
+        **{key: config["evaluate_sensor"][key] for key in ("min_range_m", "max_range_m")},
+        names=lambda w: [w.drive, config["evaluate_sensor"]["reference"]],
+        sensor_heights_m=lambda w: [lidar_height(d) for d in (w.drive, config["evaluate_sensor"]["reference"])],
+    script:
+        "../scripts/evaluate_sensor.py"
 
 
 rule tabulate_benchmarks:

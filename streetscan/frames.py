@@ -58,6 +58,7 @@ class LidarFrame:
         source: the file it comes from, or empty.
         n_dropped: returns without finite coordinates, left out.
         labels: (N,) uint32 true labels in the source's own ids, or None; they never go into the drive's file.
+        instances: (N,) uint32 the true object, 0 for none, or None; likewise.
     """
 
     time_ns: int
@@ -70,6 +71,7 @@ class LidarFrame:
     source: str = ""
     n_dropped: int = 0
     labels: np.ndarray | None = None
+    instances: np.ndarray | None = None
 
     def __len__(self) -> int:
         return len(self.points)
@@ -80,7 +82,8 @@ class CameraImage:
     """One compressed image.
 
     `time_ns` is the middle of its exposure, `format` is `png` or `jpeg`, status `ok`, `missing`, `unreadable`, or `other_size`
-    than its calibration.
+    than its calibration. `instances` (H, W) uint32 and `labels` (H, W) uint8 are the true object and class of each pixel, or None;
+    they never go into the drive's file.
     """
 
     time_ns: int
@@ -88,17 +91,23 @@ class CameraImage:
     format: str
     status: str = "ok"
     source: str = ""
+    instances: np.ndarray | None = None
+    labels: np.ndarray | None = None
 
 
 @dataclass
 class GpsFix:
-    """One position, WGS 84 degrees and metres; covariance_m2 (3, 3) of east, north, up, or None. NaN altitude: not measured."""
+    """One position, WGS 84 degrees and metres; covariance_m2 (3, 3) of east, north, up, or None. NaN altitude: not measured.
+
+    `heading_rad` is clockwise from true north, or None when the receiver does not tell it.
+    """
 
     time_ns: int
     latitude_deg: float
     longitude_deg: float
     altitude_m: float
     covariance_m2: np.ndarray | None = None
+    heading_rad: float | None = None
 
 
 @dataclass
@@ -172,7 +181,7 @@ def drop_non_finite(frame: LidarFrame) -> LidarFrame:
         kept = np.isfinite(frame.points).all(axis=1)
         frame.n_dropped += int((~kept).sum())
         frame.points = frame.points[kept]
-        for name in ("intensity", "ring", "time_offset_s", "labels"):
+        for name in ("intensity", "ring", "time_offset_s", "labels", "instances"):
             if (values := getattr(frame, name)) is not None:
                 setattr(frame, name, values[kept])
     if len(frame) == 0 and frame.status == "ok":

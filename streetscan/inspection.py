@@ -1,15 +1,16 @@
 """What an imported drive holds, in numbers: counts, gaps, rates, tracks; and lidar points in an image."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pandas as pd
 
-from streetscan import geometry
+from streetscan import geodesy, geometry
 from streetscan.errors import BadInput
 from streetscan.frames import CameraImage, CameraModel, GpsFix, LidarFrame, Mounting
+from streetscan.io.arrays import load_npy
 from streetscan.io.files import find_file, read_yaml
 from streetscan.io.mcap import iterate_drive
 from streetscan.io.trajectories import read_poses_csv
@@ -31,6 +32,9 @@ class Inspection:
         mountings: what the user gave.
         T_camera_lidar: true place of the camera, or None.
         labels_ids: whose label ids the truth has, or None.
+        crs: of the true poses, or None.
+        labels: true classes (N,) uint8 of the pictured frames, by their row, where the truth has ours.
+        changes: what became of each object of the street since the map's day (class, change, x_m, y_m), or None.
         pictured: a few whole lidar frames, evenly spread, by their row.
         images: the image of each of them that has one.
     """
@@ -44,6 +48,9 @@ class Inspection:
     labels_ids: str | None
     pictured: dict[int, LidarFrame]
     images: dict[int, CameraImage]
+    crs: str | None = None
+    labels: dict[int, np.ndarray] = field(default_factory=dict)
+    changes: pd.DataFrame | None = None
 
     @property
     def gaps(self) -> pd.DataFrame:
@@ -53,6 +60,26 @@ class Inspection:
         usual = float(np.median(steps)) if len(steps) else np.nan
         rows = np.flatnonzero(steps > _GAP_FACTOR * usual)
         return pd.DataFrame({"after": rows, "start_s": times[rows], "duration_s": steps[rows]})
+
+    @property
+    def fixes_in_map(self) -> np.ndarray | None:
+        """Easting and northing (n, 2) of the fixes in the map of the true poses, or None without a CRS."""
+        if self.crs is None or not len(self.fixes):
+            return None
+        return geodesy.project(self.fixes["latitude_deg"], self.fixes["longitude_deg"], self.crs)
+
+    @property
+    def gps_errors_m(self) -> np.ndarray | None:
+        """Distances of the fixes during the drive from where the lidar truly was (the antenna's place left aside), or None."""
+        fixes, frame_times = self.fixes_in_map, self.frames["time_s"].to_numpy(np.float64)
+        if fixes is None or self.poses is None:
+            return None
+        times = self.fixes["time_s"].to_numpy()
+        inside = (times >= frame_times.min()) & (times <= frame_times.max())
+        order = np.argsort(frame_times, kind="stable")
+        truth = np.stack([np.interp(times[inside], frame_times[order], self.poses[order, i, 3]) for i in (0, 1)], axis=1)
+        errors = np.linalg.norm(fixes[inside] - truth, axis=1)
+        return errors[np.isfinite(errors)]
 
     def numbers(self) -> dict[str, str]:
         """The numbers a reader wants first, as text with units."""
@@ -83,7 +110,11 @@ class Inspection:
             positions = self.poses[:, :3, 3]
             known = np.isfinite(positions).all(axis=1)
             numbers["true track"] = f"{path_length_m(positions[known]):.1f} m, {int(known.sum())} of {len(known)} poses known"
+        if (error_m := self.gps_errors_m) is not None and len(error_m):
+            numbers["GPS from the true track"] = f"{np.median(error_m):.1f} m, at most {error_m.max():.1f} m"
         numbers["true labels"] = self.labels_ids or "none"
+        if self.changes is not None:
+            numbers["objects since the map's day"] = _counts(self.changes["change"])
         for mounting in self.mountings:
             x, y, z = mounting.T_parent_child[:3, 3]
             roll, pitch, yaw = np.degrees(geometry.rpy_of_transform(mounting.T_parent_child))
@@ -137,6 +168,8 @@ def inspect_drive(mcap_path: str | Path, frames_path: str | Path, truth_folder: 
     truth = read_yaml(Path(truth_folder) / "truth.yaml") if truth_folder is not None else {}
     poses = read_poses_csv(Path(truth_folder) / "poses.csv")[2] if truth.get("poses") else None
     extrinsics = truth.get("extrinsics")
+    ids = (truth.get("labels") or {}).get("ids")
+    changes = None if truth_folder is None else Path(truth_folder) / "changes.csv"
     return Inspection(
         frames,
         pd.DataFrame(fixes, columns=["time_s", "latitude_deg", "longitude_deg", "altitude_m"]),
@@ -144,9 +177,14 @@ def inspect_drive(mcap_path: str | Path, frames_path: str | Path, truth_folder: 
         model,
         mountings,
         None if extrinsics is None else np.array(extrinsics["T_camera_lidar"]),
-        (truth.get("labels") or {}).get("ids"),
+        ids,
         pictured,
         images,
+        (truth.get("poses") or {}).get("crs"),
+        {row: load_npy(Path(truth_folder) / "labels" / f"{row:06d}.npy", "simulate_drive").astype(np.uint8) for row in pictured}
+        if ids == "streetscan"
+        else {},
+        pd.read_csv(changes) if changes is not None and changes.is_file() else None,
     )
 
 

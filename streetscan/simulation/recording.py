@@ -52,6 +52,8 @@ class Trajectory:
     positions: np.ndarray
     rotations: np.ndarray
 
+    rate_hz = _POSE_RATE_HZ
+
     @property
     def end_s(self) -> float:
         """Time of the last pose."""
@@ -216,7 +218,7 @@ def record_map(
             wanted = [c for p, c in chunks[low:high] if p is drive]
             if not wanted:
                 continue
-            caster = SceneCaster(_without_collisions(scene, drive.truth), drive.truth.start_s, drive.truth.end_s)
+            caster = SceneCaster(without_collisions(scene, drive.truth), drive.truth.start_s, drive.truth.end_s)
             for c in wanted:
                 for record in _record_chunk(caster, scene.crs, drive, c, chunk_s, scanners, mounts, receiver, cameras, seed + 7919 * i):
                     record.cloud.fields["time_s"] += clock_s
@@ -481,7 +483,7 @@ def _smooth(line: np.ndarray, sigma: float) -> np.ndarray:
     return gaussian_filter1d(padded, sigma, axis=0, mode="nearest")[n:-n]
 
 
-def _without_collisions(scene: Scene, truth: Trajectory) -> Scene:
+def without_collisions(scene: Scene, truth: Trajectory) -> Scene:
     """The scene without the actors that would run into the mapping vehicle during this drive.
 
     ASSUME: other traffic keeps 1.5 m away from the van; whoever does not, because a scene's traffic knows nothing of
