@@ -89,6 +89,50 @@ def facts(name):
     return yaml.safe_load((DATASETS / f"{name}.yaml").read_text())
 
 
+@functools.cache
+def drive_facts(name):
+    """The content of a drive's file; the step that makes the drive checks it."""
+    path = DRIVES / f"{name}.yaml"
+    if not path.is_file():
+        raise WorkflowError(f"{path}: no such drive; write its file or correct its name in the config.")
+    return yaml.safe_load(path.read_text())
+
+
+def step_of_drive(drive):
+    """The step that makes a drive's files."""
+    return "simulate_drive" if drive_facts(drive)["reader"] == "simulate" else "import_drive"
+
+
+def drive_file(name, drive=None):
+    """An input function: drive.mcap, frames.csv or truth of a drive, simulated or imported; of the wildcard's by default."""
+
+    def path(wildcards):
+        chosen = drive or wildcards.drive
+        return f"results/{step_of_drive(chosen)}/{chosen}/{name}"
+
+    return path
+
+
+def lidar_height(drive):
+    """Height of a drive's lidar above the road in m, as its file gives it."""
+    heights = [m["xyz_m"][2] for m in drive_facts(drive).get("mounting", []) if (m["parent"], m["child"]) == ("vehicle", "lidar")]
+    if not heights:
+        raise WorkflowError(f"{DRIVES / drive}.yaml: no mounting of the lidar on the vehicle; add it to the drive's file.")
+    return heights[0]
+
+
+def street_of(wildcards):
+    """The street a simulated drive goes through, as the map of its data set was made with."""
+    simulation = drive_facts(wildcards.drive)["simulation"]
+    known = facts(simulation["dataset"])
+    if known["source"] != "simulate" or simulation["split"] not in known["parts"]:
+        found = f"{simulation['dataset']}/{simulation['split']}"
+        raise WorkflowError(
+            f"{DRIVES / wildcards.drive}.yaml: {found} is no simulated street; name a data set of source simulate and its part."
+        )
+    return known["simulation"]["street"] | {"length_m": known["parts"][simulation["split"]]["length_m"], "crs": known["crs"]}
+
+
 def step_of_map(dataset):
     """The step that makes a data set's map."""
     return {"simulate": "simulate_city", "import": "import_map"}[facts(dataset)["source"]]
@@ -143,8 +187,20 @@ def network_files(source):
     return [f"{folder}/weights.safetensors", f"{folder}/settings.yaml"]
 
 
+# Reference methods that are no networks; they are trained on the data set they label.
+BASELINES = ("lightgbm",)
+
+
+def training_of(dataset, model):
+    """The folder of a model's training."""
+    return f"results/{'train_baseline' if model in BASELINES else 'train_segmenter'}/{dataset}/{model}"
+
+
 def network_of(wildcards):
-    """The network a model labels a data set with: of the data set's own training, another one's, or shipped."""
+    """What a model labels a data set with: a network of the data set's own training, another one's, or shipped; or a baseline's trees."""
+    if wildcards.model in BASELINES:
+        folder = training_of(wildcards.dataset, wildcards.model)
+        return [f"{folder}/model.txt", f"{folder}/settings.yaml"]
     source = config["models"][wildcards.model]["weights"]
     return network_files(f"{wildcards.dataset}/{wildcards.model}" if source == "own" else source)
 
@@ -161,7 +217,9 @@ def schedule_of(wildcards):
 
 
 def structure_of(wildcards):
-    """`train_segmenter.network` with the model's channels."""
+    """`train_segmenter.network` with the model's channels, or what a baseline looks at."""
+    if wildcards.model in BASELINES:
+        return {"neighbours": config["train_baseline"]["neighbours"]}
     return config["train_segmenter"]["network"] | {"channels": config["models"][wildcards.model]["channels"]}
 
 
@@ -178,9 +236,10 @@ def pairs(key):
 
 def check_pair(name, model, needs_map=True):
     """Refuse a (data set, model) pair that cannot be made, in one sentence that says why."""
-    if model not in config["models"]:
-        raise WorkflowError(f"labelled_maps: model '{model}' is not in the config; use one of {', '.join(config['models'])}.")
-    parts, truth, source = set(facts(name)["parts"]), facts(name)["truth"], config["models"][model]["weights"]
+    known = config["models"] | dict.fromkeys(BASELINES, {"weights": "own", "initial": None})
+    if model not in known:
+        raise WorkflowError(f"labelled_maps: model '{model}' is not in the config; use one of {', '.join(known)}.")
+    parts, truth, source = set(facts(name)["parts"]), facts(name)["truth"], known[model]["weights"]
     if needs_map and not parts & {"test", "all"}:
         raise WorkflowError(f"labelled_maps: data set '{name}' has no part 'test' or 'all' to label; add one to its file.")
     if source == "own" and (truth != "labels" or not {"train", "validation"} <= parts):
@@ -188,7 +247,7 @@ def check_pair(name, model, needs_map=True):
             f"labelled_maps: model '{model}' trains on data set '{name}', which lacks labels or a part 'train' or 'validation'; "
             "use c2cnn_shipped, or add them to its file."
         )
-    for other in {source, config["models"][model]["initial"]} - {"own", "shipped", None}:
+    for other in {source, known[model]["initial"]} - {"own", "shipped", None}:
         check_pair(*other.split("/"), needs_map=False)
 
 
@@ -198,9 +257,48 @@ for name, model in LABELLED:
     for part in facts(name)["parts"]:
         list_files(name, part)  # now rather than in the middle of the DAG
 EVALUATED = [(d, m) for d, m in LABELLED if facts(d)["truth"] == "labels" and "test" in facts(d)["parts"]]
-TRAINED = [(d, m) for d, m in LABELLED if config["models"][m]["weights"] == "own"]
+TRAINED = [(d, m) for d, m in LABELLED if m in BASELINES or config["models"][m]["weights"] == "own"]
 
 
 def for_pairs(path, selected):
     """A path's instances for (data set, model) pairs."""
     return [path.format(dataset=d, split=labelled_part(d), model=m) for d, m in selected]
+
+
+def is_complete(folder, patterns):
+    """Whether a folder of real recordings holds something for every pattern."""
+    return all(any(Path(config["data_root"], folder).glob(pattern)) for pattern in patterns)
+
+
+def find_compared():
+    """Real maps and drives the simulated ones are put beside, and the names of those whose recordings are not there."""
+    maps, drives, absent = [], [], []
+    for name, part in (pair.split("/") for pair in config["evaluate_realism"]["compared_maps"]):
+        there = is_complete(".", dataset(name).parts[part].files)
+        (maps if there else absent).append((name, part) if there else name)
+    for name in config["evaluate_realism"]["compared_drives"]:
+        there = is_complete(yaml.safe_load((DRIVES / f"{name}.yaml").read_text())["root"], ["*"])
+        (drives if there else absent).append(name)
+    return maps, drives, absent
+
+
+def moves_on_a_van(name):
+    """Whether a data set is simulated and scanned by a mobile mapper."""
+    return facts(name)["source"] == "simulate" and "same_streets_as" not in facts(name)
+
+
+SIMULATED = list(dict.fromkeys((d, labelled_part(d)) for d, _ in LABELLED if moves_on_a_van(d)))
+COMPARED_MAPS, COMPARED_DRIVES, NOT_COMPARED = find_compared() if SIMULATED else ([], [], [])
+# Static scans are shown beside the mobile maps of the same streets.
+STATIC_SCANS = [d for d in config["evaluate_density"]["static_scans"] if (facts(d)["same_streets_as"], "test") in SIMULATED]
+
+
+def realism_tables():
+    """Name of each map or drive to the table of its statistics: the simulated ones first."""
+    tables = {d: f"results/evaluate_realism/{d}/{part}/realism.csv" for d, part in SIMULATED + COMPARED_MAPS}
+    return tables | {d: f"results/evaluate_drive_realism/{d}/realism.csv" for d in COMPARED_DRIVES}
+
+
+def map_and_truth(name):
+    """A simulated data set's test map and its points' labels."""
+    return [f"results/simulate_city/{name}/test/{file}" for file in ("map.laz", "truth/labels.npy")]

@@ -45,7 +45,6 @@ rule extract_samples:
         mem_mb=2000,
     params:
         n_per_class=lambda w: config["extract_samples"][f"n_per_class_{w.split}"],
-        n_turns=lambda w: config["extract_samples"][f"n_turns_{w.split}"],
         expected=lambda w: classes_of(w.dataset) if w.split == "train" else [],
         seed=config["seed"],
     script:
@@ -79,6 +78,35 @@ rule train_segmenter:
         n_threads=config["n_threads"],
     script:
         "../scripts/train_segmenter.py"
+
+
+rule train_baseline:
+    """Boosted trees on the eigenvalues of each voxel's surroundings: what a network has to beat."""
+    input:
+        code=library("train_baseline"),
+        training=["results/turn_map/{dataset}/train/voxels.npz", "results/extract_samples/{dataset}/train/samples.npz"],
+        validation=["results/voxelize_map/{dataset}/validation/voxels.npz", "results/extract_samples/{dataset}/validation/samples.npz"],
+    output:
+        model="results/train_baseline/{dataset}/{model}/model.txt",
+        settings="results/train_baseline/{dataset}/{model}/settings.yaml",
+        history="results/train_baseline/{dataset}/{model}/history.csv",
+    log:
+        "results/train_baseline/{dataset}/{model}/model.log",
+    benchmark:
+        "results/train_baseline/{dataset}/{model}/model.bench.tsv"
+    wildcard_constraints:
+        model="|".join(BASELINES),
+    conda:
+        "../envs/streetscan.yaml"
+    threads: config["n_threads"]
+    resources:
+        mem_mb=4000,
+    params:
+        neighbours=config["train_baseline"]["neighbours"],
+        schedule=config["train_baseline"]["schedule"] | {"seed": config["seed"]},
+        n_threads=config["n_threads"],
+    script:
+        "../scripts/train_baseline.py"
 
 
 rule label_map:

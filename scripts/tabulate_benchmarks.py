@@ -12,15 +12,18 @@ from streetscan.logs import logged
 Pairs = Sequence[tuple[str, str]]
 
 
-def main(inputs: Mapping, outputs: Mapping, evaluated: Pairs, trained: Pairs, viewed: Pairs, facts: Mapping, config: Mapping):
+def main(
+    inputs: Mapping, outputs: Mapping, evaluated: Pairs, trained: Pairs, viewed: Pairs, facts: Mapping, realism: Mapping, config: Mapping
+):
     """
     Args:
         inputs: `evaluations`, `confusions` (scores.csv and confusion.csv of evaluate_labels, one per pair in `evaluated`),
-            `histories` (history.csv of train_segmenter, one per pair in `trained`), `views` (folders of evaluate_views, one
-            per pair in `viewed`).
+            `histories` (one per pair in `trained`), `views` (folders of evaluate_views, one per pair in `viewed`), `realism`
+            (realism.csv, one per name in `compared`), `densities` (density.csv, one per key of `static_scans`).
         outputs: `scores`, `report` (files), `tables`, `figures` (folders).
         evaluated, trained, viewed: (data set, model) pairs.
         facts: data set to its facts for Table 1.2.
+        realism: `simulated` data sets; names `compared` and `not_compared`; `static_scans`, static data set to the mobile one.
         config: the resolved configuration, printed in the report; its `run` and `seed` name it.
     """
     files = zip(inputs["evaluations"], inputs["confusions"], evaluated, strict=True)
@@ -29,7 +32,11 @@ def main(inputs: Mapping, outputs: Mapping, evaluated: Pairs, trained: Pairs, vi
     views = {tuple(pair): Path(folder) for pair, folder in zip(viewed, inputs["views"], strict=True)}
     found = scores.collect_scores(evaluations, facts)
     printed = tables.make_tables(found)
+    sheets, densities = (
+        scores.read_named(inputs[key], realism[names]) for key, names in (("realism", "compared"), ("densities", "static_scans"))
+    )
     sections = report.draw_sections(outputs["figures"], found, evaluations, histories, views)
+    sections += report.realism_sections(outputs["figures"], sheets, realism["not_compared"], densities, realism["static_scans"])
     labelled = list(dict.fromkeys([*map(tuple, evaluated), *views]))
     html = report.render_report(
         report.describe_run(config["run"], config["seed"], labelled),
@@ -38,10 +45,12 @@ def main(inputs: Mapping, outputs: Mapping, evaluated: Pairs, trained: Pairs, vi
         sections,
         yaml.safe_dump(dict(config), sort_keys=False, allow_unicode=True),
         unscored=labelled[len(evaluated) :],
+        simulated=realism["simulated"],
     )
     for folder in (outputs["tables"], outputs["figures"]):  # a run without truth has neither tables nor figures
         Path(folder).mkdir(parents=True, exist_ok=True)
     tables.write_tables(outputs["tables"], printed)
+    scores.write_named(outputs["tables"], realism=sheets, density=densities)
     scores.write_scores(outputs["scores"], found)
     report.write_report(outputs["report"], html)
 

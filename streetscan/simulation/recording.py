@@ -15,6 +15,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 from scipy.spatial.transform import Rotation
 
+from streetscan.classes import GROUND
 from streetscan.clouds import PointCloud
 from streetscan.errors import BadInput
 from streetscan.io.las import open_las_writer
@@ -51,6 +52,8 @@ class Trajectory:
     positions: np.ndarray
     rotations: np.ndarray
 
+    rate_hz = _POSE_RATE_HZ
+
     @property
     def end_s(self) -> float:
         """Time of the last pose."""
@@ -74,11 +77,13 @@ class Errors:
         drift_m: standard deviation, per axis, of the slowly varying position error.
         pass_offset_m: (least, most) length of the constant horizontal offset of every pass after the first.
         attitude_deg: standard deviation, per axis, of the slowly varying attitude error.
+        boresight_deg: standard deviation, per axis, of the constant error of how each scanner is mounted.
     """
 
     drift_m: float = 0.03
     pass_offset_m: tuple[float, float] = (0.02, 0.10)
     attitude_deg: float = 0.01
+    boresight_deg: float = 0.01
 
 
 @dataclass
@@ -203,6 +208,7 @@ def record_map(
         records in order of time.
     """
     chunk_s = chunk_pulses / max(s.pulses_per_s for s in scanners)
+    mounts = [_misjudged_mount(errors, np.random.default_rng([seed, 6, k])) for k in range(len(scanners))]
     clock_s = 0.0
     for i, scene in enumerate(scenes):
         passes = plan_passes(scene, errors, seed + 7919 * i, n_rounds)
@@ -212,16 +218,16 @@ def record_map(
             wanted = [c for p, c in chunks[low:high] if p is drive]
             if not wanted:
                 continue
-            caster = SceneCaster(_without_collisions(scene, drive.truth), drive.truth.start_s, drive.truth.end_s)
+            caster = SceneCaster(without_collisions(scene, drive.truth), drive.truth.start_s, drive.truth.end_s)
             for c in wanted:
-                for record in _record_chunk(caster, scene.crs, drive, c, chunk_s, scanners, receiver, cameras, seed + 7919 * i):
+                for record in _record_chunk(caster, scene.crs, drive, c, chunk_s, scanners, mounts, receiver, cameras, seed + 7919 * i):
                     record.cloud.fields["time_s"] += clock_s
                     yield record
         # Each scene has a clock of its own; the map has one.
         clock_s = np.ceil(clock_s + max((p.truth.end_s for p in passes), default=0.0)) + 60.0
 
 
-def _record_chunk(caster, crs, drive: Pass, chunk: int, chunk_s: float, scanners, receiver, cameras, seed: int) -> Iterator[Record]:
+def _record_chunk(caster, crs, drive: Pass, chunk: int, chunk_s: float, scanners, mounts, receiver, cameras, seed: int) -> Iterator[Record]:
     for number, scanner in enumerate(scanners):
         rng = np.random.default_rng([seed, 2, drive.index, chunk, number])
         start_s, end_s = drive.truth.start_s, drive.truth.end_s
@@ -237,7 +243,7 @@ def _record_chunk(caster, crs, drive: Pass, chunk: int, chunk_s: float, scanners
         if len(returns) == 0:
             continue
         rows, ranges = returns.pulses, returns.ranges_m[:, None]
-        believed_origins, believed_directions = _place(drive.believed, times_s[rows], scanner.position_m, body[rows])
+        believed_origins, believed_directions = _place(drive.believed, times_s[rows], scanner.position_m, body[rows] @ mounts[number].T)
         rgb = _colour(caster, drive, origins[rows] + ranges * directions[rows], times_s[rows], cameras, seed, rng)
         yield _as_record(caster, returns, believed_origins + ranges * believed_directions, times_s[rows], rgb, crs)
 
@@ -250,6 +256,22 @@ def _colour(caster, drive: Pass, points: np.ndarray, times_s: np.ndarray, camera
     yaws = np.arctan2(rotations[:, 1, 0], rotations[:, 0, 0])
     seeds = [seed, 3, drive.index]
     return colour_points(caster, points, positions[pictures], yaws[pictures], all_times_s[pictures], pictures, cameras, seeds, rng)
+
+
+def draw_bursts(
+    drive: Pass, scanner: ProfileScanner, n_bursts: int, n_pulses: int, rng: np.random.Generator
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Pulses a scanner fires during a drive, in bursts of consecutive ones at random moments.
+
+    Returns:
+        origins (n, 3) float64 and directions (n, 3) float32, frame `map`, and times (n,) float64, without those that hit the own roof.
+    """
+    span_s = n_pulses / scanner.pulses_per_s
+    starts = np.sort(rng.uniform(drive.truth.start_s, max(drive.truth.end_s - span_s, drive.truth.start_s), n_bursts))
+    times_s = (starts[:, None] + np.arange(n_pulses) / scanner.pulses_per_s).ravel()
+    body = scanner.directions(times_s - drive.truth.start_s)
+    seen = ~hits_own_vehicle(scanner.position_m, body)
+    return *_place(drive.truth, times_s[seen], scanner.position_m, body[seen]), times_s[seen]
 
 
 def record_street(
@@ -295,7 +317,7 @@ def record_static(
         records in order of time; `cloud` has no rgb.
     """
     n_columns = max(_CHUNK_PULSES // scanner.n_rows, 1)
-    turn_s = scanner.n_columns * scanner.n_rows / scanner.pulses_per_s
+    turn_s = scanner.panorama_s
     for p, position in enumerate(np.asarray(positions, np.float64)):
         heading = np.random.default_rng([seed, 4, p]).uniform(0, 2 * np.pi)
         rotation = _rotations(np.zeros(1), np.zeros(1), np.array([heading]))[0].astype(np.float32)
@@ -310,6 +332,70 @@ def record_static(
             rows = returns.pulses
             points = origins[rows] + returns.ranges_m[:, None] * directions[rows]
             yield _as_record(caster, returns, points, times_s[rows], None, scene.crs)
+
+
+def record_static_street(
+    split: str, seed: int, street: dict, scanner: StaticScanner, receiver: Receiver, spacing_m: float
+) -> Iterator[Record]:
+    """The map of a tripod carried along the simulated city's street of one split, block by block in constant memory.
+
+    Args:
+        split, seed, street: as for `record_street`; what stands is the same, the traffic is that of its own hour.
+        scanner, receiver: their settings.
+        spacing_m: between neighbouring positions along the street.
+    Yields:
+        records in order of time; `cloud` has no rgb.
+    """
+    clock_s = 0.0
+    for b in range(count_blocks(street["length_m"])):
+        n = len(_tripod_stations(street, b, spacing_m))
+        span_s = n * scanner.panorama_s
+        scene = build_street(split=split, seed=seed, block=b, time_span_s=(-10.0, span_s), **street)
+        positions = tripod_positions(scene, street, b, spacing_m)
+        for record in record_static(scene, positions, scanner, receiver, seed + 7919 * b):
+            record.cloud.fields["time_s"] += clock_s
+            yield record
+        clock_s += span_s
+
+
+def tripod_positions(scene: Scene, street: dict, block: int, spacing_m: float) -> np.ndarray:
+    """(P, 3) places for a tripod in a block: on the sidewalk, on the left and the right in turn, where nothing stands.
+
+    ASSUME: a panorama every `spacing_m`, 12.3 m from the street's axis between the rows of furniture; where something stands within
+    0.8 m, further along or on the other side, as an operator would choose.
+    """
+    road = scene.roads[0]
+    along = np.append(0, np.cumsum(np.linalg.norm(np.diff(road, axis=0), axis=1)))
+    solid = scene.static.vertices[np.unique(scene.static.triangles[scene.static.labels != GROUND])]
+    positions = []
+    for k, station in enumerate(_tripod_stations(street, block, spacing_m)):
+        first_side = 1 - 2 * (k % 2)
+        best_m, best = -1.0, None
+        for step, side in itertools.product(np.arange(0.0, spacing_m / 2, 0.5), (first_side, -first_side)):
+            place = _beside(road, along, min(station + step, along[-1] - 0.5), 12.3 * side)
+            above = solid[:, 2] - place[2]
+            around = np.hypot(*(solid[(above > 0.3) & (above < 2.2), :2] - place[:2]).T)
+            clearance_m = float(around.min(initial=np.inf))
+            if clearance_m > best_m:
+                best_m, best = clearance_m, place
+            if best_m >= 0.8:
+                break
+        positions.append(best)
+    return np.array(positions)
+
+
+def _beside(road: np.ndarray, along: np.ndarray, s: float, t: float) -> np.ndarray:
+    """(3,) place t metres to the left of a centre line (K, 3) at s metres along it, as high as the line."""
+    behind, ahead = (np.array([np.interp(s + d, along, road[:, i]) for i in range(3)]) for d in (-0.5, 0.5))
+    forward = (ahead - behind)[:2] / np.linalg.norm((ahead - behind)[:2])
+    return (behind + ahead) / 2 + np.array([-t * forward[1], t * forward[0], 0])
+
+
+def _tripod_stations(street: dict, block: int, spacing_m: float) -> np.ndarray:
+    """Distances along a block's road, evenly spread."""
+    length_m = street["length_m"] / count_blocks(street["length_m"])
+    n = max(1, round(length_m / spacing_m))
+    return (np.arange(n) + 0.5) * length_m / n
 
 
 def write_map(records: Iterable[Record], map_path: str | Path, labels_path: str | Path, instances_path: str | Path) -> int:
@@ -373,6 +459,11 @@ def _misjudge(truth: Trajectory, errors: Errors, is_first: bool, rng: np.random.
     return replace(truth, positions=truth.positions + drift + offset, rotations=turned)
 
 
+def _misjudged_mount(errors: Errors, rng: np.random.Generator) -> np.ndarray:
+    """(3, 3) float32 small rotation between how a scanner is mounted and how it is believed to be."""
+    return _rotations(*np.radians(errors.boresight_deg * rng.standard_normal((3, 1))))[0].astype(np.float32)
+
+
 def _slow_noise(times: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """(n, 3) smooth noise of unit standard deviation: four waves of 8 to 60 s per axis."""
     periods = rng.uniform(8, 60, (4, 3))
@@ -392,7 +483,7 @@ def _smooth(line: np.ndarray, sigma: float) -> np.ndarray:
     return gaussian_filter1d(padded, sigma, axis=0, mode="nearest")[n:-n]
 
 
-def _without_collisions(scene: Scene, truth: Trajectory) -> Scene:
+def without_collisions(scene: Scene, truth: Trajectory) -> Scene:
     """The scene without the actors that would run into the mapping vehicle during this drive.
 
     ASSUME: other traffic keeps 1.5 m away from the van; whoever does not, because a scene's traffic knows nothing of

@@ -60,9 +60,9 @@ def mobile_mapper(
 VEHICLE_BOX_M = ((-2.6, -0.95, 0.0), (2.4, 0.95, 1.9))
 
 
-def hits_own_vehicle(position_m: tuple[float, float, float], directions: np.ndarray) -> np.ndarray:
-    """(n,) bool: rays from a mirror above the roof, (n, 3) in the vehicle frame, that end on the vehicle's own roof."""
-    (x_low, y_low, _), (x_high, y_high, roof) = VEHICLE_BOX_M
+def hits_own_vehicle(position_m: tuple[float, float, float], directions: np.ndarray, box_m: tuple = VEHICLE_BOX_M) -> np.ndarray:
+    """(n,) bool: rays from a mirror above the roof, (n, 3) in the vehicle frame, that end on the roof of the vehicle's box."""
+    (x_low, y_low, _), (x_high, y_high, roof) = box_m
     down = np.minimum(directions[:, 2], -1e-6)
     to_roof = (roof - position_m[2]) / down
     x, y = position_m[0] + to_roof * directions[:, 0], position_m[1] + to_roof * directions[:, 1]
@@ -95,6 +95,11 @@ class StaticScanner:
     def n_columns(self) -> int:
         """Vertical lines of a full turn."""
         return round(360.0 / self.step_deg)
+
+    @property
+    def panorama_s(self) -> float:
+        """Duration of a full turn."""
+        return self.n_columns * self.n_rows / self.pulses_per_s
 
     def directions(self, first_column: int, n_columns: int) -> np.ndarray:
         """(n_columns * n_rows, 3) float32 unit vectors of some vertical lines, x towards column 0, in firing order."""

@@ -11,6 +11,7 @@ from streetscan.segmentation.metrics import evaluate_labels
 
 CONFIG = {"run": "try", "seed": 1, "labelled_maps": ["city/c2cnn"]}
 EVALUATED = [("city", "c2cnn"), ("oakland", "c2cnn_from_city")]
+REALISM = {"simulated": ["city"], "compared": ["city", "oakland"], "not_compared": ["amsterdam"], "static_scans": {"city_tls": "city"}}
 FACTS = {"city": {"year": 2026, "n_classes": 9}, "oakland": {"sensor": "SICK LMS (MLS)", "n_points": None}}
 
 
@@ -32,6 +33,10 @@ def inputs(tmp_path):
     views = tmp_path / "views"
     views.mkdir()
     (views / "predicted_top.png").write_bytes(b"\x89PNG")
+    statistics = pd.DataFrame({"statistic": "density_per_m2", "group": "ground", "x": [0.0, 2.0], "value": [900.0, 300.0], "n": 5})
+    statistics.to_csv(tmp_path / "realism.csv", index=False)
+    pd.concat([statistics.assign(scanner=s) for s in ("static", "mobile")]).to_csv(tmp_path / "density.csv", index=False)
+    paths |= {"realism": [str(tmp_path / "realism.csv")] * 2, "densities": [str(tmp_path / "density.csv")]}
     return paths | {"histories": [str(tmp_path / "history.csv")], "views": [str(views)]}
 
 
@@ -47,6 +52,7 @@ def run(inputs, folder):
         trained=[("city", "c2cnn")],
         viewed=[["my_street", "c2cnn_shipped"]],
         facts=FACTS,
+        realism=REALISM,
         config=CONFIG,
     )
 
@@ -65,6 +71,12 @@ def test_all_outputs(inputs, tmp_path):
     html = (tmp_path / "out" / "report.html").read_text()
     for text in ("streetscan: run try", "Map my_street", "without truth nothing can be scored", "labelled_maps:"):
         assert text in html
+    # The simulated maps beside real ones, what is missing for it, and the yardsticks.
+    for text in ("Realism of the simulated maps", "Not compared", "Amsterdam", "Static and mobile scanner", "not in this run"):
+        assert text in html
+    realism = pd.read_csv(tmp_path / "out" / "tables" / "realism.csv")
+    assert realism["map"].tolist() == ["city", "city", "oakland", "oakland"]
+    assert set(pd.read_csv(tmp_path / "out" / "tables" / "density.csv")["scanner"]) == {"static", "mobile"}
 
 
 def test_the_same_inputs_give_the_same_files(inputs, tmp_path):

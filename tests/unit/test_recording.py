@@ -9,14 +9,25 @@ from streetscan.classes import CAR, FACADE, GROUND, PHANTOM
 from streetscan.errors import BadInput
 from streetscan.io.las import read_las
 from streetscan.simulation.colouring import Cameras
+from streetscan.simulation.layout import build_street
 from streetscan.simulation.meshes import Surface, box, quads
 from streetscan.simulation.receiver import Receiver
-from streetscan.simulation.recording import Errors, Record, drive_road, plan_passes, record_map, record_static, write_map
+from streetscan.simulation.recording import (
+    Errors,
+    Record,
+    drive_road,
+    plan_passes,
+    record_map,
+    record_static,
+    record_static_street,
+    tripod_positions,
+    write_map,
+)
 from streetscan.simulation.scene import Actor, Mesh, Scene, join_meshes
 from streetscan.simulation.sensors import ProfileScanner, StaticScanner, mobile_mapper
 
-NO_ERRORS = Errors(drift_m=0.0, pass_offset_m=(0.0, 0.0), attitude_deg=0.0)
-EXACT = Receiver(range_noise_m=0.0, n_subrays=0)
+NO_ERRORS = Errors(drift_m=0.0, pass_offset_m=(0.0, 0.0), attitude_deg=0.0, boresight_deg=0.0)
+EXACT = Receiver(range_noise_m=0.0, n_subrays=0)  # every pulse one ray
 
 
 def road(length_m: float = 30.0) -> np.ndarray:
@@ -103,6 +114,17 @@ def test_navigation_errors_are_as_large_as_asked_and_smooth():
     assert np.abs(np.diff(drift, axis=0)).max() * 200 < 0.1  # no faster than 10 cm a second
     offset = (second.believed.positions - second.truth.positions).mean(axis=0)
     assert np.linalg.norm(offset[:2]) == pytest.approx(0.05, abs=0.02)
+
+
+def test_each_scanner_is_mounted_a_little_otherwise_than_believed():
+    errors = Errors(0.0, (0.0, 0.0), 0.0, boresight_deg=0.05)
+    exact, wrong = (record(street(), errors=e) for e in (NO_ERRORS, errors))
+    np.testing.assert_array_equal(exact.labels, wrong.labels)
+    shifts = np.linalg.norm(exact.cloud.points - wrong.cloud.points, axis=1)
+    # The error is an angle: it grows with the range, and stays within what angles of some 0.05 degrees do at 30 m.
+    assert 1e-3 < np.median(shifts) < np.radians(0.2) * 30
+    far = np.abs(exact.cloud.points[:, 1]) > 8
+    assert np.median(shifts[far]) > np.median(shifts[~far])
 
 
 def test_the_points_of_an_exact_recording_lie_on_the_surfaces():
@@ -230,6 +252,33 @@ def test_density_of_a_static_scanner_falls_steeply_with_the_range():
     expected = (1.7**2 + 6.25**2) * 6.25 / ((1.7**2 + 3.25**2) * 3.25)
     assert counts[0] / counts[1] == pytest.approx(expected, rel=0.1)
     assert "rgb" not in whole.cloud.fields
+
+
+def test_a_tripod_stands_on_the_sidewalk_where_nothing_else_does():
+    settings = {"length_m": 60.0, "traffic_density": 0.2, "n_pedestrians": 4.0}
+    scene = build_street(split="test", seed=1, block=0, time_span_s=(0.0, 1.0), **settings)
+    places = tripod_positions(scene, settings, 0, 20.0)
+    axis = scene.roads[0][:, :2]
+    assert np.abs([np.linalg.norm(axis - p[:2], axis=1).min() - 12.3 for p in places]).max() < 0.2
+    solid = scene.static.vertices[np.unique(scene.static.triangles[scene.static.labels != GROUND])]
+    ground = scene.static.vertices[np.unique(scene.static.triangles[scene.static.labels == GROUND])]
+    for place in places:
+        above = solid[:, 2] - place[2]
+        near = (np.linalg.norm(solid[:, :2] - place[:2], axis=1) < 0.7) & (above > 0.3) & (above < 2.2)
+        assert not near.any()
+        assert abs(ground[np.linalg.norm(ground[:, :2] - place[:2], axis=1).argmin(), 2] - place[2]) < 0.25
+
+
+def test_a_static_street_is_recorded_panorama_after_panorama():
+    settings = {"length_m": 40.0, "traffic_density": 0.2, "n_pedestrians": 4.0}
+    scanner = StaticScanner(step_deg=0.6)
+    records = [gather(record_static_street("test", seed, settings, scanner, Receiver(), 20.0)) for seed in (1, 1, 2)]
+    times = records[0].cloud.fields["time_s"]
+    assert set((times // scanner.panorama_s).astype(int)) == {0, 1}
+    assert (np.diff(times) >= 0).all()
+    np.testing.assert_array_equal(records[0].cloud.points, records[1].cloud.points)
+    assert len(records[0].labels) != len(records[2].labels)
+    assert {GROUND, FACADE} <= set(records[0].labels)
 
 
 def test_streets_recorded_one_after_the_other_share_one_clock():
