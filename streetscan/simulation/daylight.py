@@ -374,7 +374,7 @@ def _sky_radiance(dx, dy, dz, sky, spread_rad):
     towards = dx * sky[0] + dy * sky[1] + dz * sky[2]
     up = max(dz, 0.0)
     horizon = np.exp(-5.0 * up)
-    glow = 0.35 * max(towards, 0.0) ** 12 + 2.0 * max(towards, 0.0) ** 400
+    glow = 0.4 * max(towards, 0.0) ** 10 + 5.0 * max(towards, 0.0) ** 200
     r = sky[6] * (0.75 + 2.6 * horizon) + glow * sky[3]
     g = sky[7] * (1.10 + 1.8 * horizon) + glow * sky[4]
     b = sky[8] * (1.50 + 0.7 * horizon) + glow * sky[5]
