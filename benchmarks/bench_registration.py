@@ -16,8 +16,7 @@ import open3d as o3d
 from streetscan.drives import Recording, read_drive_facts
 from streetscan.frames import LidarFrame
 from streetscan.geometry import transform
-from streetscan.io.trajectories import read_kitti_poses
-from streetscan.registration.evaluation import evaluate_chain
+from streetscan.registration.evaluation import evaluate_chain, smooth_positions
 from streetscan.registration.grid_classes import (
     GROUND,
     SETTINGS_OF_THE_REPORT,
@@ -29,7 +28,7 @@ from streetscan.registration.grid_classes import (
     segment_frame,
 )
 from streetscan.registration.merging import MergeFrame, merge_frames
-from streetscan.registration.odometry import Frame, FramePose, Odometry, OdometrySettings
+from streetscan.registration.odometry import Frame, FramePose, OdometrySettings, make_odometry, register_pair
 
 ROOT = Path(__file__).resolve().parents[1]
 SENSOR_HEIGHT_M = 1.73
@@ -156,7 +155,6 @@ class _Drive:
     frames: list[LidarFrame]
     reference: np.ndarray
     is_planar: bool
-    smoothing_s: float
 
     def every(self, step: int) -> "_Drive":
         return replace(self, frames=self.frames[::step], reference=self.reference[::step])
@@ -168,14 +166,10 @@ def _load_drive(data_root: Path, name: str) -> _Drive | None:
         return None
     recording = Recording(facts, data_root)
     frames = [r for r in recording.records() if isinstance(r, LidarFrame)]
-    derived = {
-        "kitti_0005": "kitti_2011_09_26_drive_0005/derived/velo_poses_from_icp_154.txt",
-        "muehlburger_tor": "kit_hdl64_muehlburgertor/derived/velo_poses_from_icp_501.txt",
-    }
-    if name in derived:
-        # Registered poses without a vertical truth: x, y and yaw are compared.
-        return _Drive(name, frames, read_kitti_poses(data_root / derived[name])[: len(frames)], True, 0.0)
-    return _Drive(name, frames, np.array([recording.true_pose(f) for f in frames]), False, 1.0)
+    truth = facts.truth.poses
+    reference = np.array([recording.true_pose(f) for f in frames])
+    reference = smooth_positions(np.array([f.time_ns / 1e9 for f in frames]), reference, truth.get("smoothing_s", 0.0))
+    return _Drive(name, frames, reference, truth.get("is_planar", False))
 
 
 def _time(call) -> float:
@@ -186,7 +180,7 @@ def _time(call) -> float:
 
 def _run_chain(drive: _Drive, settings: OdometrySettings) -> tuple[list[FramePose], np.ndarray]:
     """Rows and seconds per frame; the grid's classes are part of a frame's time when they are used."""
-    odometry, rows, seconds = Odometry(settings), [], []
+    odometry, rows, seconds = make_odometry(settings), [], []
     for i, frame in enumerate(drive.frames):
         start_s = time.perf_counter()
         labels = segment_frame(frame.points, SENSOR_HEIGHT_M) if settings.classes else None
@@ -197,7 +191,7 @@ def _run_chain(drive: _Drive, settings: OdometrySettings) -> tuple[list[FramePos
 
 
 def _score(drive: _Drive, rows: list[FramePose], seconds: np.ndarray) -> dict[str, tuple[float, str, int]]:
-    table = evaluate_chain(rows, drive.reference, seconds, drive.is_planar, drive.smoothing_s)
+    table = evaluate_chain(rows, drive.reference, seconds, drive.is_planar)
     return {metric: (value, unit, n) for metric, value, unit, n in table.itertuples(index=False)}
 
 
@@ -207,7 +201,7 @@ def _bench_pairs(drive: _Drive) -> list[dict]:
     for variant, classes in (("presegmented", (TALL_STRUCTURE,)), ("raw", ())):
         scores = _score(drive, *_run_chain(drive, OdometrySettings(target="previous", classes=classes)))
         medians[variant] = scores["pair_time_median"][0]
-        for metric in ("pair_time_median", "pair_time_p95", "failed_pairs", "rpe_rmse", "rpe_rotation_rmse", "ape_rmse", "drift_50m"):
+        for metric in ("pair_time_median", "pair_time_p95", "failed_pairs", "rpe_rmse", "rpe_rotation_rmse", "ape_rmse", "drift"):
             value, unit, n = scores[metric]
             rows.append(_row(f"pairs_{drive.name}", f"{variant} {metric}", value, unit, n=n))
     ratio = medians["raw"] / medians["presegmented"]
@@ -219,35 +213,16 @@ def _bench_odometry(drive: _Drive) -> list[dict]:
     rows = []
     chains = {
         "": lambda: _run_chain(drive, OdometrySettings()),
-        "kiss-icp": lambda: _run_kiss(drive),
+        "kiss-icp": lambda: _run_chain(drive, OdometrySettings("kiss_icp", "street", ())),
         "small_gicp GICP, pairs": lambda: _run_chain(drive, OdometrySettings("gicp", "previous", (), thin_m=0.25)),
         "small_gicp VGICP, street": lambda: _run_chain(drive, OdometrySettings("vgicp", "street", (), thin_m=0.25)),
     }
     for peer, run in chains.items():
         scores = _score(drive, *run())
-        for metric in ("frame_rate", "failed_pairs", "ape_rmse", "rpe_rmse", "rpe_max", "rpe_rotation_rmse", "drift_50m"):
+        for metric in ("frame_rate", "failed_pairs", "ape_rmse", "rpe_rmse", "rpe_max", "rpe_rotation_rmse", "drift"):
             value, unit, n = scores[metric]
             rows.append(_row(f"odometry_{drive.name}", metric, value, unit, peer, n))
     return rows
-
-
-def _run_kiss(drive: _Drive) -> tuple[list[FramePose], np.ndarray]:
-    from kiss_icp.config import KISSConfig
-    from kiss_icp.kiss_icp import KissICP
-
-    config = KISSConfig()
-    config.data.max_range, config.mapping.voxel_size = 100.0, 1.0
-    config.data.deskew = any(f.time_offset_s is not None and f.time_offset_s.any() for f in drive.frames)
-    odometry, rows, seconds = KissICP(config), [], []
-    for i, frame in enumerate(drive.frames):
-        offsets = frame.time_offset_s if config.data.deskew else np.zeros(0)
-        start_s = time.perf_counter()
-        odometry.register_frame(frame.points.astype(np.float64), np.asarray(offsets, np.float64))
-        seconds.append(time.perf_counter() - start_s)
-        rows.append(FramePose(i, frame.time_ns / 1e9, "ok" if i else "start", 0, odometry.last_pose.copy()))
-    # KISS-ICP de-skews to the end of the revolution, ours to its middle: half a revolution's motion lies between, the same in
-    # every frame of even motion, so relative poses compare.
-    return rows, np.array(seconds)
 
 
 def _bench_rates(drive: _Drive) -> list[dict]:
@@ -265,8 +240,6 @@ def _bench_rates(drive: _Drive) -> list[dict]:
 
 def _bench_no_prediction(drive: _Drive, max_distance_m: float = 0.5) -> list[dict]:
     """Pairs 1, 3, 5 and 10 frames apart started from no motion: how many are right, and how many wrong ones are taken for right."""
-    from streetscan.registration.odometry import register_pair
-
     rows, moving = [], [i for i in range(len(drive.frames)) if i >= (200 if drive.name == "muehlburger_tor" else 0)]
     for step in (1, 3, 5, 10):
         for variant, classes in (("presegmented", (TALL_STRUCTURE,)), ("raw", ())):

@@ -460,3 +460,26 @@ def _draw_north(axes, width: int, height: int, north_rad: float) -> None:
     axes.text(*(centre - step * 0.95), "N", ha="center", va="center", fontsize=8, weight="bold", color=INK, bbox=box)
     axes.set_xlim(-0.5, width - 0.5)
     axes.set_ylim(height - 0.5, -0.5)
+
+
+@_styled
+def paths(tracks: dict[str, np.ndarray], true: np.ndarray, failed: dict[str, np.ndarray]) -> Figure:
+    """Paths from above: the true one dashed, failed frames as crosses. Ways are long and narrow, so the axes have scales of their own.
+
+    Args:
+        tracks: title to positions (K, 2) in metres, NaN where unknown.
+        true: (K, 2) true positions.
+        failed: title to (K,) bool.
+    """
+    figure = _figure(3.2)
+    axes = figure.subplots()
+    axes.plot(true[:, 0], true[:, 1], color=INK, linestyle="--", linewidth=1.4, label="true", zorder=3)
+    colours = [OURS, PAPER, THIRD, FOURTH, ALARM, QUIET, "#56B4E9", "#F0E442"]
+    for (name, track), colour in zip(tracks.items(), colours * len(tracks), strict=False):
+        axes.plot(track[:, 0], track[:, 1], color=colour, linewidth=1.2, label=name)
+        if (wrong := failed[name]).any():
+            axes.plot(track[wrong, 0], track[wrong, 1], "x", color=colour, markersize=4)
+    axes.set_xlabel("ahead [m]")
+    axes.set_ylabel("to the left [m]")
+    figure.legend(loc="outside upper left", ncols=4)
+    return figure
