@@ -20,26 +20,18 @@ from streetscan.registration.evaluation import evaluate_chain, smooth_positions
 from streetscan.registration.grid_classes import (
     GROUND,
     SETTINGS_OF_THE_REPORT,
-    SHORT_OBJECT,
     TALL_STRUCTURE,
     GridSettings,
     classify_points,
-    count_classes,
     segment_frame,
 )
+from streetscan.registration.grid_evaluation import GRID_CLASSES, count_confusion, score_grid
 from streetscan.registration.merging import MergeFrame, merge_frames
 from streetscan.registration.odometry import Frame, FramePose, OdometrySettings, make_odometry, register_pair
 
 ROOT = Path(__file__).resolve().parents[1]
 SENSOR_HEIGHT_M = 1.73
-# SemanticKITTI's ids in the four classes. Fences, vegetation and other objects (51, 70, 99) have any height and are left out; buses and
-# trucks are short objects by meaning (they move), tall by shape: they count against tall structure.
-SEMANTIC_IDS = {
-    GROUND: (40, 44, 48, 49, 60, 72),
-    SHORT_OBJECT: (10, 11, 13, 15, 16, 18, 20, 30, 31, 32, *range(252, 260)),
-    TALL_STRUCTURE: (50, 52, 71, 80, 81),
-}
-CLASS_NAMES = {GROUND: "ground", SHORT_OBJECT: "short_object", TALL_STRUCTURE: "tall_structure"}
+SEMANTIC_IDS = GRID_CLASSES["semantickitti"]
 PAPER_RATIO = "paper 11-46"
 
 
@@ -90,18 +82,11 @@ def _bench_grid(scans: list, n_repeats: int) -> list[dict]:
         "thresholds_of_the_report": lambda p: segment_frame(p, SENSOR_HEIGHT_M, SETTINGS_OF_THE_REPORT, "none"),
     }
     for name, segment in variants.items():
-        confusion, n_sparse, n_all = np.zeros((4, 4), np.int64), 0, 0
-        for p, ids in scans:
-            labels = segment(p)
-            n_sparse, n_all = n_sparse + (labels == 0).sum(), n_all + len(labels)
-            for truth, wanted in SEMANTIC_IDS.items():
-                confusion[truth] += count_classes(labels[np.isin(ids, wanted)])
-        for c, title in CLASS_NAMES.items():
-            rows.append(
-                _row(f"grid_classes_{name}", f"{title} precision", 100 * confusion[c, c] / confusion[1:, c].sum(), "%", n=len(scans))
-            )
-            rows.append(_row(f"grid_classes_{name}", f"{title} recall", 100 * confusion[c, c] / confusion[c].sum(), "%", n=len(scans)))
-        rows.append(_row(f"grid_classes_{name}", "sparse share", 100 * n_sparse / n_all, "%", "paper <10", len(scans)))
+        found = [(segment(p), ids) for p, ids in scans]
+        for c, metric, value, unit, _ in score_grid(count_confusion(found, SEMANTIC_IDS)).itertuples(index=False):
+            rows.append(_row(f"grid_classes_{name}", f"{c} {metric}", value, unit, n=len(scans)))
+        sparse = np.concatenate([labels == 0 for labels, _ in found])
+        rows.append(_row(f"grid_classes_{name}", "sparse share", 100 * sparse.mean(), "%", "paper <10", len(scans)))
     return rows + _bench_plane(scans)
 
 

@@ -46,6 +46,24 @@ rule evaluate_views:
         "../scripts/evaluate_views.py"
 
 
+rule evaluate_frames:
+    """Precision and recall of the grid's classes against the true labels of a drive's points."""
+    input:
+        code=library("evaluate_frames"),
+        truth=drive_file("truth"),
+        classes="results/segment_frames/{drive}/classes.npz",
+    output:
+        scores="results/evaluate_frames/{drive}/scores.csv",
+    log:
+        "results/evaluate_frames/{drive}/scores.log",
+    conda:
+        "../envs/streetscan.yaml"
+    resources:
+        mem_mb=1000,
+    script:
+        "../scripts/evaluate_frames.py"
+
+
 rule evaluate_registration:
     """Failed pairs, absolute and relative errors, drift and time of a drive's poses; its path beside the true one."""
     input:
@@ -79,6 +97,7 @@ rule tabulate_benchmarks:
         views=for_pairs("results/evaluate_views/{dataset}/{split}/{model}/views", LABELLED),
         registrations=for_drives("results/evaluate_registration/{drive}/{registrar}/scores.csv", REGISTERED),
         trajectories=for_drives("results/evaluate_registration/{drive}/{registrar}/trajectory.csv", REGISTERED),
+        grids=for_drives("results/evaluate_frames/{drive}/scores.csv", LABELLED_DRIVES),
         streets=for_drives("results/merge_frames/{drive}/{registrar}/street.png", MERGED),
         frames=for_drives("results/show_frames/{drive}/pictures", REGISTERED + MERGED),
     output:

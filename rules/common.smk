@@ -255,6 +255,7 @@ def for_pairs(path, selected):
 REGISTERED, MERGED = pairs("registered_drives"), pairs("merged_drives")
 for drive, registrar in REGISTERED + MERGED:
     check_registrar(drive, registrar, "registered_drives and merged_drives")
+LABELLED_DRIVES = [(d, r) for d, r in REGISTERED if "labels" in drive_facts(d).get("truth", {})]
 
 
 def for_drives(path, selected):

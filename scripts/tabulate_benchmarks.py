@@ -18,10 +18,10 @@ def main(
 ):  # fmt: skip
     """
     Args:
-        inputs: `evaluations`, `confusions` (scores.csv and confusion.csv of evaluate_labels, one per pair in `evaluated`),
-            `histories` (history.csv of train_segmenter, one per pair in `trained`), `views` (folders of evaluate_views, one
-            per pair in `viewed`), `registrations`, `trajectories` (of evaluate_registration, one per pair in `registered`), `streets`
-            (street.png of merge_frames, one per pair in `merged`), `frames` (folders of show_frames, one per drive of both).
+        inputs: of evaluate_labels `evaluations` and `confusions`, one per pair in `evaluated`; of train_segmenter `histories`, per pair
+            in `trained`; of evaluate_views `views`, per pair in `viewed`; of evaluate_registration `registrations` and `trajectories`,
+            per pair in `registered`; of merge_frames `streets`, per pair in `merged`; of evaluate_frames `grids` and of show_frames
+            `frames`, per drive.
         outputs: `scores`, `report` (files), `tables`, `figures` (folders).
         evaluated, trained, viewed: (data set, model) pairs.
         registered, merged: (drive, registrar) pairs.
@@ -33,7 +33,8 @@ def main(
     histories = {tuple(pair): pd.read_csv(path) for pair, path in zip(trained, inputs["histories"], strict=True)}
     views = {tuple(pair): Path(folder) for pair, folder in zip(viewed, inputs["views"], strict=True)}
     drives = registrations.read_registrations(inputs["registrations"], inputs["trajectories"], registered)
-    found = scores.collect_scores(evaluations, facts, registrations.registration_scores(drives))
+    more = registrations.registration_scores(drives) + registrations.grid_scores(inputs["grids"])
+    found = scores.collect_scores(evaluations, facts, more)
     printed = tables.make_tables(found)
     sections = report.draw_sections(outputs["figures"], found, evaluations, histories, views)
     streets = dict(zip(map(tuple, merged), inputs["streets"], strict=True))

@@ -48,19 +48,33 @@ class Registration:
 
 def read_registrations(scores: Sequence[str], trajectories: Sequence[str], pairs: Sequence[tuple[str, str]]) -> list[Registration]:
     """What evaluate_registration wrote, one of each per (drive, registrar) pair. BadInput when a file is missing or lacks a column."""
-    return [_read_registration(*paths, *pair) for *paths, pair in zip(scores, trajectories, pairs, strict=True)]
+    columns = ("metric", "value", "unit", "n"), ("frame", "x_m", "y_m", "true_x_m")
+    return [
+        Registration(*pair, *(_read_csv(path, names, "evaluate_registration") for path, names in zip(paths, columns, strict=True)))
+        for *paths, pair in zip(scores, trajectories, pairs, strict=True)
+    ]
 
 
-def _read_registration(scores_path: str, trajectory_path: str, drive: str, registrar: str) -> Registration:
-    tables = []
-    for path, columns in ((scores_path, ("metric", "value", "unit", "n")), (trajectory_path, ("frame", "x_m", "y_m", "true_x_m"))):
-        try:
-            tables.append(pd.read_csv(path))
-        except (OSError, ValueError) as error:
-            raise BadInput(path, f"not a CSV table ({error})", "delete it and run evaluate_registration again") from error
-        if missing := [c for c in columns if c not in tables[-1]]:
-            raise BadInput(path, f"lacks the column '{missing[0]}'", "delete it and run evaluate_registration again")
-    return Registration(drive, registrar, *tables)
+def grid_scores(paths: Sequence[str]) -> list[dict]:
+    """Rows of the tidy scores: precision and recall of the grid's classes, from `evaluate_frames/<drive>/scores.csv`."""
+    rows = []
+    for path in paths:
+        drive, content = Path(path).parent.name, _read_csv(path, ("class", "metric", "value", "unit"), "evaluate_frames")
+        rows += [
+            make_score("grid_classes", drive, r["class"], r["metric"], r["value"], r["unit"], dataset=drive, method="grid")
+            for r in content.to_dict("records")
+        ]
+    return rows
+
+
+def _read_csv(path: str, columns: Sequence[str], step: str) -> pd.DataFrame:
+    try:
+        content = pd.read_csv(path)
+    except (OSError, ValueError) as error:
+        raise BadInput(path, f"not a CSV table ({error})", f"delete it and run {step} again") from error
+    if missing := [c for c in columns if c not in content]:
+        raise BadInput(path, f"lacks the column '{missing[0]}'", f"delete it and run {step} again")
+    return content
 
 
 def registration_scores(registrations: Sequence[Registration]) -> list[dict]:

@@ -9,11 +9,12 @@ from streetscan.benchmarks.scores import read_scores
 from streetscan.errors import BadInput
 from streetscan.geometry import transform
 from streetscan.registration.evaluation import align_trajectory, evaluate_chain, find_failed_pairs
+from streetscan.registration.grid_evaluation import score_grid
 from streetscan.registration.odometry import FramePose
 from streetscan.segmentation.metrics import evaluate_labels
 
 CONFIG = {"run": "try", "seed": 1, "labelled_maps": ["city/c2cnn"]}
-TABLES = {"nagy_1_2", "nagy_2_3", "nagy_2_4", "nagy_2_3_natural", "map_cleaning", "jozsa_1", "jozsa_2", "registration"}
+TABLES = {"nagy_1_2", "nagy_2_3", "nagy_2_4", "nagy_2_3_natural", "map_cleaning", "jozsa_1", "jozsa_2", "registration", "grid_classes"}
 REGISTERED = [("my_drive", "ndt_tall"), ("my_drive", "ndt_raw"), ("my_drive", "kiss_icp")]
 EVALUATED = [("city", "c2cnn"), ("oakland", "c2cnn_from_city")]
 FACTS = {"city": {"year": 2026, "n_classes": 9}, "oakland": {"sensor": "SICK LMS (MLS)", "n_points": None}}
@@ -56,7 +57,9 @@ def inputs(tmp_path):
     for name in ("classes_000000.png", "density_000000.png"):
         (frames / name).write_bytes(b"\x89PNG")
     (tmp_path / "street.png").write_bytes(b"\x89PNG")
-    paths |= {"streets": [str(tmp_path / "street.png")], "frames": [str(frames)]}
+    grid = tmp_path / "my_drive" / "scores.csv"
+    score_grid(np.diag([0, 9, 5, 8])).to_csv(grid, index=False)
+    paths |= {"grids": [str(grid)], "streets": [str(tmp_path / "street.png")], "frames": [str(frames)]}
     return paths | {"histories": [str(tmp_path / "history.csv")], "views": [str(views)]}
 
 
