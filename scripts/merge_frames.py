@@ -25,7 +25,8 @@ def main(
         settings: keys of MergeSettings (`classes`: names).
     """
     chosen = make_merge_settings(settings)
-    frames, poses = DriveFrames(drive_path, classes_path), choose_segment(read_pose_table(poses_path), chosen.segment)
+    frames = DriveFrames(drive_path, classes_path)
+    poses = choose_segment(frames.poses_of_level(read_pose_table(poses_path)), chosen.segment)
     work_folder = Path(f"{tiles_folder}.resume")
     counts = merge_frames(frames.merge_frames, poses, tiles_folder, work_folder / frames.digest, chosen, elevation_path=elevation_path)
     shutil.rmtree(work_folder, ignore_errors=True)

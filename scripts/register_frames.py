@@ -29,6 +29,7 @@ def main(
         read.frames, read.last, work_folder / read.digest, make_settings(settings), group_frames, first_frame=read.first
     )
     log_chain(poses)
+    poses = read.poses_of_lidar(poses)
     timings = pd.DataFrame({"frame": [p.index for p in poses], "duration_s": seconds})
     save_tables({poses_path: tabulate_poses(poses), timings_path: timings})
     write_tum_segment(tum_path, poses)

@@ -7,10 +7,9 @@ import numpy as np
 import pandas as pd
 
 from streetscan.io.frame_arrays import open_frame_arrays_writer
-from streetscan.io.mcap import iterate_lidar
 from streetscan.io.tables import save_tables
 from streetscan.logs import logged
-from streetscan.registration.drive_frames import read_sensor_height_m
+from streetscan.registration.drive_frames import iterate_level, read_mounting
 from streetscan.registration.grid_classes import NAMES, GridSettings, count_classes, segment_frame
 
 
@@ -26,11 +25,11 @@ def main(
         foot_method, foot_m: see `correct_feet`.
         outlier_neighbours: neighbours of the statistical outlier removal, 0 for none.
     """
-    settings, sensor_height_m, rows, seconds = GridSettings(**grid), read_sensor_height_m(drive_path), [], []
+    settings, sensor_height_m, rows, seconds = GridSettings(**grid), read_mounting(drive_path)[2, 3], [], []
     # Compiled code is loaded before the clock starts.
     segment_frame(np.zeros((1, 3), np.float32), sensor_height_m, settings, foot_method, foot_m)
     with open_frame_arrays_writer(classes_path) as writer:
-        for index, frame in enumerate(iterate_lidar(drive_path)):
+        for index, frame in enumerate(iterate_level(drive_path)):
             start_s = time.perf_counter()
             labels = segment_frame(frame.points, sensor_height_m, settings, foot_method, foot_m, outlier_neighbours)
             seconds.append((index, time.perf_counter() - start_s))

@@ -4,9 +4,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from streetscan.io.frame_arrays import FrameArrays
-from streetscan.io.mcap import iterate_lidar
 from streetscan.logs import logged
-from streetscan.registration.drive_frames import read_sensor_height_m
+from streetscan.registration.drive_frames import iterate_level, read_mounting
 from streetscan.registration.frame_pictures import draw_drive, save_drive_pictures
 from streetscan.registration.grid_classes import GridSettings
 
@@ -24,9 +23,10 @@ def main(
         first, last: frame numbers shown, `last` not included; null shows all.
         video_rate_hz: pictures a second; 0 writes single pictures.
     """
-    settings, labels, sensor_height_m = GridSettings(**grid), FrameArrays(classes_path, "segment_frames"), read_sensor_height_m(drive_path)
+    settings, labels = GridSettings(**grid), FrameArrays(classes_path, "segment_frames")
+    sensor_height_m = read_mounting(drive_path)[2, 3]
     for mode in modes:
-        pictures = draw_drive(iterate_lidar(drive_path), labels, mode, sensor_height_m, settings, first, last)
+        pictures = draw_drive(iterate_level(drive_path), labels, mode, sensor_height_m, settings, first, last)
         save_drive_pictures(pictures, folder, mode, video_rate_hz)
 
 

@@ -4,10 +4,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from street_frames import PERIOD_S
+from street_frames import PERIOD_S, SENSOR_HEIGHT_M
 
 from scripts import register_frames
 from streetscan.frames import LidarFrame, Mounting
+from streetscan.geometry import transform
 from streetscan.io.mcap import open_drive_writer
 
 ALL_FRAMES = {"first": 0, "last": None, "every": 1}
@@ -31,7 +32,10 @@ class RegisteredDrive:
         return outputs
 
 
-def write_drive(path: Path, frames: list[np.ndarray], mountings: tuple[Mounting, ...] = ()) -> np.ndarray:
+LEVEL = Mounting("vehicle", "lidar", transform([0.8, 0.0, SENSOR_HEIGHT_M]))
+
+
+def write_drive(path: Path, frames: list[np.ndarray], mountings: tuple[Mounting, ...] = (LEVEL,)) -> np.ndarray:
     """Write frames, PERIOD_S apart; their stamps in ns."""
     times_ns = 1_700_000_000_000_000_000 + (np.arange(len(frames)) * PERIOD_S * 1e9).astype(np.int64)
     with open_drive_writer(path) as writer:

@@ -2,12 +2,10 @@
 
 import numpy as np
 import pytest
-from street_frames import SENSOR_HEIGHT_M, drive
+from street_frames import drive
 from toy_drives import RegisteredDrive, write_drive
 
 from scripts import merge_frames, segment_frames
-from streetscan.frames import Mounting
-from streetscan.geometry import transform
 from streetscan.io.trajectories import write_poses_csv
 
 
@@ -18,8 +16,7 @@ def registered_drive(tmp_path_factory) -> RegisteredDrive:
     folder = made.folder
     points, poses = drive(made.n_frames, speed_mps=6.0)
     points[4] = np.empty((0, 3), np.float32)
-    mounting = Mounting("vehicle", "lidar", transform([0.8, 0.0, SENSOR_HEIGHT_M]))
-    times_ns = write_drive(folder / "drive.mcap", points, (mounting,))
+    times_ns = write_drive(folder / "drive.mcap", points)
     (folder / "truth").mkdir()
     write_poses_csv(folder / "truth" / "poses.csv", np.arange(made.n_frames), times_ns / 1e9, poses)
     segment_frames.main(
