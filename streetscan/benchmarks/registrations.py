@@ -162,16 +162,25 @@ def _street_caption(drive: str, registrar: str) -> str:
     )
 
 
+def _track(trajectory: pd.DataFrame) -> np.ndarray:
+    return trajectory[["x_m", "y_m"]].to_numpy()
+
+
+def _true(trajectory: pd.DataFrame) -> np.ndarray:
+    return trajectory[["true_x_m", "true_y_m"]].to_numpy()
+
+
+def _failed(trajectory: pd.DataFrame) -> np.ndarray:
+    return trajectory["is_failed"].to_numpy(bool)
+
+
 def _paths(folder: Path, drive: str, registrations: Sequence[Registration]) -> Picture:
     """Paths from above of all registrars and the true one, with the failed pairs marked."""
-    tracks, failed = {}, {}
-    for r in registrations:
-        tracks[title(r.registrar)] = r.trajectory[["x_m", "y_m"]].to_numpy()
-        failed[title(r.registrar)] = r.trajectory["is_failed"].to_numpy(bool)
-    true = registrations[0].trajectory[["true_x_m", "true_y_m"]].to_numpy()
-    known = "the true one dashed" if np.isfinite(true).any() else "no true poses are known"
+    tracks, true, failed = ({title(r.registrar): value(r.trajectory) for r in registrations} for value in (_track, _true, _failed))
     caption = (
-        f"Paths of {title(drive)} from above, from the first true pose on, {known}; crosses end pairs that failed. "
+        f"Paths of {title(drive)} from above, from the first true pose on, and below how far off they get; crosses end pairs that failed. "
         "Side and way are drawn to different scales."
     )
+    if not any(np.isfinite(track).any() for track in true.values()):
+        caption = f"Paths of {title(drive)} from above; its true poses are not known. Side and way are drawn to different scales."
     return save_picture(draw.paths(tracks, true, failed), folder, f"paths_{drive}", caption)
