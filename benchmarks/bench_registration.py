@@ -6,7 +6,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -21,13 +21,12 @@ from streetscan.registration.grid_classes import (
     GROUND,
     SETTINGS_OF_THE_REPORT,
     TALL_STRUCTURE,
-    GridSettings,
     classify_points,
     segment_frame,
 )
 from streetscan.registration.grid_evaluation import GRID_CLASSES, count_confusion, score_grid
 from streetscan.registration.merging import MergeFrame, merge_frames
-from streetscan.registration.odometry import Frame, FramePose, OdometrySettings, make_odometry, register_pair
+from streetscan.registration.odometry import Frame, FramePose, OdometrySettings, make_odometry, register_drive, register_pair
 
 ROOT = Path(__file__).resolve().parents[1]
 SENSOR_HEIGHT_M = 1.73
@@ -249,33 +248,67 @@ def _bench_no_prediction(drive: _Drive, max_distance_m: float = 0.5) -> list[dic
 
 
 def _bench_memory() -> list[dict]:
-    """Peak memory of merging 100 and 1000 frames of 60 000 points along an endless street."""
+    """Peak memory of registering and merging 100 and 1000 frames along an endless street."""
     rows = []
-    for n in (100, 1000):
-        output = subprocess.run([sys.executable, "-m", "benchmarks.bench_registration", str(n)], capture_output=True, text=True, cwd=ROOT)
-        output.check_returncode()
-        seconds, peak_mb = (float(v) for v in output.stdout.split())
-        rows.append(_row("merge_frames", f"peak memory of {n} frames", peak_mb, "MB", n=n))
-        rows.append(_row("merge_frames", f"frames per second of {n} frames", n / seconds, "fps", n=n))
+    for step in _MANY:
+        for n in (100, 1000):
+            command = [sys.executable, "-m", "benchmarks.bench_registration", step, str(n)]
+            output = subprocess.run(command, capture_output=True, text=True, cwd=ROOT)
+            output.check_returncode()
+            seconds, peak_mb = (float(v) for v in output.stdout.split())
+            rows.append(_row(step, f"peak memory of {n} frames", peak_mb, "MB", n=n))
+            rows.append(_row(step, f"frames per second of {n} frames", n / seconds, "fps", n=n))
     return rows
 
 
-def _merge_many(n_frames: int) -> None:
-    """Prints the seconds and the peak memory in MB."""
+def _endless_street(n_frames: int) -> Callable[[int, int], Iterator[tuple[int, np.ndarray]]]:
+    """Frames of 40 000 points, a metre apart, between two fronts with recesses of their own all along the way."""
     rng = np.random.default_rng(1)
-    points = np.c_[rng.uniform(-40, 40, (60_000, 2)), np.full(60_000, -SENSOR_HEIGHT_M)].astype(np.float32)
-    points[::3, 1], points[::3, 2] = 12.0, rng.uniform(-SENSOR_HEIGHT_M, 3, 20_000)
-    labels = segment_frame(points, SENSOR_HEIGHT_M, GridSettings())
-    poses = {i: FramePose(i, 0.1 * i, "ok", 0, transform([float(i), 0, 0])) for i in range(n_frames)}
+    n = 200 * (n_frames + 100)
+    x = np.sort(rng.uniform(-50, n_frames + 50, n))
+    depth = rng.uniform(0, 2, n_frames + 102)[np.floor((x + 50) / 4).astype(int)]
+    wall = np.stack([x, np.where(rng.random(n) < 0.5, -1, 1) * (10 + depth), rng.uniform(-SENSOR_HEIGHT_M, 4, n)], axis=1)
+    ground = np.stack([x, rng.uniform(-9, 9, n), np.full(n, -SENSOR_HEIGHT_M)], axis=1)
+
+    def read(first: int, last: int) -> Iterator[tuple[int, np.ndarray]]:
+        for i in range(first, min(last, n_frames)):
+            a, b = np.searchsorted(x, (i - 50, i + 50))
+            yield i, (np.concatenate([wall[a:b], ground[a:b]]) - [i, 0, 0]).astype(np.float32)
+
+    return read
+
+
+def _merge_many(n_frames: int, folder: Path) -> None:
+    read_points = _endless_street(n_frames)
 
     def read(first: int, last: int) -> Iterator[MergeFrame]:
-        for i in range(first, min(last, n_frames)):
-            yield MergeFrame(i, 0.1 * i, points, labels)
+        for i, points in read_points(first, last):
+            yield MergeFrame(i, 0.1 * i, points, segment_frame(points, SENSOR_HEIGHT_M))
 
+    poses = {i: FramePose(i, 0.1 * i, "ok", 0, transform([float(i), 0, 0])) for i in range(n_frames)}
+    merge_frames(read, poses, folder / "tiles", folder / "work")
+
+
+def _register_many(n_frames: int, folder: Path) -> None:
+    read_points = _endless_street(n_frames)
+
+    def read(first: int, last: int) -> Iterator[Frame]:
+        for i, points in read_points(first, last):
+            yield Frame(i, 0.1 * i, points, segment_frame(points, SENSOR_HEIGHT_M))
+
+    poses, _ = register_drive(read, n_frames, folder)
+    assert all(pose.is_posed for pose in poses)
+
+
+_MANY = {"register_frames": _register_many, "merge_frames": _merge_many}
+
+
+def _run_many(step: str, n_frames: int) -> None:
+    """Prints the seconds and the peak memory in MB."""
     with tempfile.TemporaryDirectory() as folder:
-        seconds = _time(lambda: merge_frames(read, poses, Path(folder) / "tiles", Path(folder) / "work"))
+        seconds = _time(lambda: _MANY[step](n_frames, Path(folder)))
     print(seconds, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
 
 
 if __name__ == "__main__":
-    _merge_many(int(sys.argv[1]))
+    _run_many(sys.argv[1], int(sys.argv[2]))
