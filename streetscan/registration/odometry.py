@@ -63,6 +63,7 @@ class OdometrySettings:
             frame reach 0.37 and wrong ones up to 0.29 on tall structure (on raw frames the two overlap).
         keyframe_m: the target changes only when the vehicle moved by this since, so a standing vehicle cannot drift.
         keyframe_rad: ... or turned by this.
+        is_predicted: start the search where the previous motion leads (the report); without, where the last frame was.
         is_deskewed: undo the motion within the revolution, when the points have times.
         max_speed_mps: a faster motion is implausible.
         max_acceleration_mps2: a larger change of the predicted speed is implausible.
@@ -83,6 +84,7 @@ class OdometrySettings:
     min_fit: float = 0.32
     keyframe_m: float = 0.05
     keyframe_rad: float = 0.005
+    is_predicted: bool = True
     is_deskewed: bool = True
     max_speed_mps: float = 60.0
     max_acceleration_mps2: float = 15.0
@@ -278,7 +280,9 @@ class Odometry:
         return deskew(points, offsets, self._twist[:3], self._twist[3:])
 
     def _search(self, points: np.ndarray, duration_s: float) -> Fit:
-        if self._twist is not None:
+        if not self._settings.is_predicted:
+            predictions = [np.eye(4)]
+        elif self._twist is not None:
             predictions = [motion_of(self._twist * duration_s)]
         else:
             predictions = [motion_of(np.array([v * duration_s, 0, 0, 0, 0, 0])) for v in self._settings.start_speeds_mps]
