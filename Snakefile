@@ -25,3 +25,4 @@ rule all:
         for_drives("results/register_frames/{drive}/{registrar}/poses.tum", REGISTERED),
         for_drives("results/merge_frames/{drive}/{registrar}/tiles", MERGED),
         expand("results/inspect_drive/{drive}/sheet.html", drive=config["drives"]),
+        expand("results/evaluate_sensor/{drive}/scores.csv", drive=config["evaluate_sensor"]["drives"]),

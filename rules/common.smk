@@ -104,15 +104,33 @@ def step_of_drive(drive):
     return "simulate_drive" if drive_facts(drive)["reader"] == "simulate" else "import_drive"
 
 
-def drive_file(name):
-    """An input function: drive.mcap, frames.csv or truth of a drive, simulated or imported."""
-    return lambda wildcards: f"results/{step_of_drive(wildcards.drive)}/{wildcards.drive}/{name}"
+def drive_file(name, drive=None):
+    """An input function: drive.mcap, frames.csv or truth of a drive, simulated or imported; of the wildcard's by default."""
+
+    def path(wildcards):
+        chosen = drive or wildcards.drive
+        return f"results/{step_of_drive(chosen)}/{chosen}/{name}"
+
+    return path
+
+
+def lidar_height(drive):
+    """Height of a drive's lidar above the road in m, as its file gives it."""
+    heights = [m["xyz_m"][2] for m in drive_facts(drive).get("mounting", []) if (m["parent"], m["child"]) == ("vehicle", "lidar")]
+    if not heights:
+        raise WorkflowError(f"{DRIVES / drive}.yaml: no mounting of the lidar on the vehicle; add it to the drive's file.")
+    return heights[0]
 
 
 def street_of(wildcards):
     """The street a simulated drive goes through, as the map of its data set was made with."""
     simulation = drive_facts(wildcards.drive)["simulation"]
     known = facts(simulation["dataset"])
+    if known["source"] != "simulate" or simulation["split"] not in known["parts"]:
+        found = f"{simulation['dataset']}/{simulation['split']}"
+        raise WorkflowError(
+            f"{DRIVES / wildcards.drive}.yaml: {found} is no simulated street; name a data set of source simulate and its part."
+        )
     return known["simulation"]["street"] | {"length_m": known["parts"][simulation["split"]]["length_m"], "crs": known["crs"]}
 
 
@@ -282,6 +300,45 @@ TRAINED = [(d, m) for d, m in LABELLED if m in BASELINES or config["models"][m][
 def for_pairs(path, selected):
     """A path's instances for (data set, model) pairs."""
     return [path.format(dataset=d, split=labelled_part(d), model=m) for d, m in selected]
+
+
+def is_complete(folder, patterns):
+    """Whether a folder of real recordings holds something for every pattern."""
+    return all(any(Path(config["data_root"], folder).glob(pattern)) for pattern in patterns)
+
+
+def find_compared():
+    """Real maps and drives the simulated ones are put beside, and the names of those whose recordings are not there."""
+    maps, drives, absent = [], [], []
+    for name, part in (pair.split("/") for pair in config["evaluate_realism"]["compared_maps"]):
+        there = is_complete(".", dataset(name).parts[part].files)
+        (maps if there else absent).append((name, part) if there else name)
+    for name in config["evaluate_realism"]["compared_drives"]:
+        there = is_complete(yaml.safe_load((DRIVES / f"{name}.yaml").read_text())["root"], ["*"])
+        (drives if there else absent).append(name)
+    return maps, drives, absent
+
+
+def moves_on_a_van(name):
+    """Whether a data set is simulated and scanned by a mobile mapper."""
+    return facts(name)["source"] == "simulate" and "same_streets_as" not in facts(name)
+
+
+SIMULATED = list(dict.fromkeys((d, labelled_part(d)) for d, _ in LABELLED if moves_on_a_van(d)))
+COMPARED_MAPS, COMPARED_DRIVES, NOT_COMPARED = find_compared() if SIMULATED else ([], [], [])
+# Static scans are shown beside the mobile maps of the same streets.
+STATIC_SCANS = [d for d in config["evaluate_density"]["static_scans"] if (facts(d)["same_streets_as"], "test") in SIMULATED]
+
+
+def realism_tables():
+    """Name of each map or drive to the table of its statistics: the simulated ones first."""
+    tables = {d: f"results/evaluate_realism/{d}/{part}/realism.csv" for d, part in SIMULATED + COMPARED_MAPS}
+    return tables | {d: f"results/evaluate_drive_realism/{d}/realism.csv" for d in COMPARED_DRIVES}
+
+
+def map_and_truth(name):
+    """A simulated data set's test map and its points' labels."""
+    return [f"results/simulate_city/{name}/test/{file}" for file in ("map.laz", "truth/labels.npy")]
 
 
 REGISTERED, MERGED = pairs("registered_drives"), pairs("merged_drives")
