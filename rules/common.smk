@@ -310,7 +310,8 @@ def is_complete(folder, patterns):
 def find_compared():
     """Real maps and drives the simulated ones are put beside, and the names of those whose recordings are not there."""
     maps, drives, absent = [], [], []
-    for name, part in (pair.split("/") for pair in config["evaluate_realism"]["compared_maps"]):
+    wanted = config["evaluate_realism"]["compared_maps"]
+    for name, part in (pair.split("/") for pair in wanted):
         there = is_complete(".", dataset(name).parts[part].files)
         (maps if there else absent).append((name, part) if there else name)
     for name in config["evaluate_realism"]["compared_drives"]:
@@ -327,7 +328,7 @@ def moves_on_a_van(name):
 SIMULATED = list(dict.fromkeys((d, labelled_part(d)) for d, _ in LABELLED if moves_on_a_van(d)))
 COMPARED_MAPS, COMPARED_DRIVES, NOT_COMPARED = find_compared() if SIMULATED else ([], [], [])
 # Static scans are shown beside the mobile maps of the same streets.
-STATIC_SCANS = [d for d in config["evaluate_density"]["static_scans"] if (facts(d)["same_streets_as"], "test") in SIMULATED]
+STATIC_SCANS = [d for d in config["evaluate_density"]["static_scans"] if SIMULATED and (facts(d)["same_streets_as"], "test") in SIMULATED]
 
 
 def realism_tables():
