@@ -76,8 +76,8 @@ rule evaluate_drive_realism:
     """The same statistics of a drive's frames merged at their true poses."""
     input:
         code=library("evaluate_drive_realism"),
-        drive="results/import_drive/{drive}/drive.mcap",
-        truth="results/import_drive/{drive}/truth",
+        drive=drive_file("drive.mcap"),
+        truth=drive_file("truth"),
     output:
         table="results/evaluate_drive_realism/{drive}/realism.csv",
     log:

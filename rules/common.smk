@@ -234,9 +234,9 @@ def classes_of(dataset):
     return sorted(names - {"unlabelled"})
 
 
-def pairs(key):
-    """The (data set, model) pairs of a list of `dataset/model` names in the config."""
-    return [tuple(name.split("/")) for name in config[key]]
+def pairs(names):
+    """The pairs of names such as `dataset/model`."""
+    return [tuple(name.split("/")) for name in names]
 
 
 def check_pair(name, model, needs_map=True):
@@ -288,7 +288,7 @@ def check_registrar(drive, registrar, where):
         raise WorkflowError(f"{where}: registrar '{registrar}' is not in the config; use one of {', '.join(config['registrars'])}.")
 
 
-LABELLED = pairs("labelled_maps")
+LABELLED = pairs(config["labelled_maps"])
 for name, model in LABELLED:
     check_pair(name, model)
     for part in facts(name)["parts"]:
@@ -308,16 +308,22 @@ def is_complete(folder, patterns):
 
 
 def find_compared():
-    """Real maps and drives the simulated ones are put beside, and the names of those whose recordings are not there."""
+    """Real maps and drives the simulated ones are put beside, and the names of those whose files or recordings are not there."""
     maps, drives, absent = [], [], []
-    wanted = config["evaluate_realism"]["compared_maps"]
-    for name, part in (pair.split("/") for pair in wanted):
-        there = is_complete(".", dataset(name).parts[part].files)
+    for name, part in pairs(config["evaluate_realism"]["compared_maps"]):
+        there = (DATASETS / f"{name}.yaml").is_file() and is_complete(".", dataset(name).parts[part].files)
         (maps if there else absent).append((name, part) if there else name)
     for name in config["evaluate_realism"]["compared_drives"]:
-        there = is_complete(yaml.safe_load((DRIVES / f"{name}.yaml").read_text())["root"], ["*"])
+        file = DRIVES / f"{name}.yaml"
+        there = file.is_file() and is_complete(yaml.safe_load(file.read_text())["root"], ["*"])
         (drives if there else absent).append(name)
     return maps, drives, absent
+
+
+def find_static_scans():
+    """Data sets of a static scanner whose streets a mobile map of this run shows."""
+    wanted = [d for d in config["evaluate_density"]["static_scans"] if SIMULATED and (DATASETS / f"{d}.yaml").is_file()]
+    return [d for d in wanted if (facts(d)["same_streets_as"], "test") in SIMULATED]
 
 
 def moves_on_a_van(name):
@@ -327,8 +333,7 @@ def moves_on_a_van(name):
 
 SIMULATED = list(dict.fromkeys((d, labelled_part(d)) for d, _ in LABELLED if moves_on_a_van(d)))
 COMPARED_MAPS, COMPARED_DRIVES, NOT_COMPARED = find_compared() if SIMULATED else ([], [], [])
-# Static scans are shown beside the mobile maps of the same streets.
-STATIC_SCANS = [d for d in config["evaluate_density"]["static_scans"] if SIMULATED and (facts(d)["same_streets_as"], "test") in SIMULATED]
+STATIC_SCANS = find_static_scans()
 
 
 def realism_tables():
@@ -342,7 +347,7 @@ def map_and_truth(name):
     return [f"results/simulate_city/{name}/test/{file}" for file in ("map.laz", "truth/labels.npy")]
 
 
-REGISTERED, MERGED = pairs("registered_drives"), pairs("merged_drives")
+REGISTERED, MERGED = pairs(config["registered_drives"]), pairs(config["merged_drives"])
 for drive, registrar in REGISTERED + MERGED:
     check_registrar(drive, registrar, "registered_drives and merged_drives")
 LABELLED_DRIVES = [(d, r) for d, r in REGISTERED if has_labels(d)]
