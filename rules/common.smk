@@ -21,6 +21,7 @@ wildcard_constraints:
     tiles=r"\d+of\d+",
     model=r"[a-z0-9_]+",
     drive=r"[a-z0-9_]+",
+    registrar=r"[a-z0-9_]+",
     run=r"[a-z0-9_]+",
 
 
@@ -135,7 +136,7 @@ def street_of(wildcards):
 
 def step_of_map(dataset):
     """The step that makes a data set's map."""
-    return {"simulate": "simulate_city", "import": "import_map"}[facts(dataset)["source"]]
+    return {"simulate": "simulate_city", "import": "import_map", "merge": "import_map"}[facts(dataset)["source"]]
 
 
 def map_of(wildcards):
@@ -150,7 +151,11 @@ def truth_of(wildcards):
 
 @as_workflow_error
 def list_files(name, part):
-    """The files of a part of an imported data set; one that is missing is an error of one sentence."""
+    """The files of a part of an imported data set, or the tiles of a drive; one that is missing is an error of one sentence."""
+    if facts(name)["source"] == "merge":
+        drive, registrar = (facts(name)["merge"][key] for key in ("drive", "registrar"))
+        check_registrar(drive, registrar, f"data set '{name}'")
+        return [f"results/merge_frames/{drive}/{registrar}/tiles"]
     return [str(path) for path in dataset(name).files(part, config["data_root"])]
 
 
@@ -229,9 +234,9 @@ def classes_of(dataset):
     return sorted(names - {"unlabelled"})
 
 
-def pairs(key):
-    """The (data set, model) pairs of a list of `dataset/model` names in the config."""
-    return [tuple(name.split("/")) for name in config[key]]
+def pairs(names):
+    """The pairs of names such as `dataset/model`."""
+    return [tuple(name.split("/")) for name in names]
 
 
 def check_pair(name, model, needs_map=True):
@@ -251,7 +256,39 @@ def check_pair(name, model, needs_map=True):
         check_pair(*other.split("/"), needs_map=False)
 
 
-LABELLED = pairs("labelled_maps")
+def has_labels(drive):
+    """Whether the true labels of a drive's points are known."""
+    return drive_facts(drive)["reader"] == "simulate" or "labels" in drive_facts(drive).get("truth", {})
+
+
+def registration_settings(wildcards):
+    """`register_frames.settings` with what the registrar is and changes."""
+    registrar, settings = config["registrars"][wildcards.registrar], config["register_frames"]["settings"]
+    changed = settings | registrar["settings"] | {"ndt": settings["ndt"] | registrar["settings"].get("ndt", {})}
+    return changed | {key: registrar[key] for key in ("method", "target", "classes")} | {"n_threads": config["n_threads"]}
+
+
+def timings_of(wildcards):
+    """What a registrar's frames took: the registration, and the grid where its classes are matched."""
+    paths = [f"results/register_frames/{wildcards.drive}/{wildcards.registrar}/timings.csv"]
+    uses_grid = config["registrars"][wildcards.registrar]["classes"]
+    return paths + [f"results/segment_frames/{wildcards.drive}/timings.csv"] * bool(uses_grid)
+
+
+def reference_facts(wildcards):
+    """How good a drive's true poses are: `is_planar` and `smoothing_s`."""
+    poses = drive_facts(wildcards.drive).get("truth", {}).get("poses", {})
+    return {key: poses[key] for key in ("is_planar", "smoothing_s") if key in poses}
+
+
+def check_registrar(drive, registrar, where):
+    """Refuse a drive without a file and a registrar that is not in the config."""
+    drive_facts(drive)
+    if registrar not in config["registrars"]:
+        raise WorkflowError(f"{where}: registrar '{registrar}' is not in the config; use one of {', '.join(config['registrars'])}.")
+
+
+LABELLED = pairs(config["labelled_maps"])
 for name, model in LABELLED:
     check_pair(name, model)
     for part in facts(name)["parts"]:
@@ -271,15 +308,22 @@ def is_complete(folder, patterns):
 
 
 def find_compared():
-    """Real maps and drives the simulated ones are put beside, and the names of those whose recordings are not there."""
+    """Real maps and drives the simulated ones are put beside, and the names of those whose files or recordings are not there."""
     maps, drives, absent = [], [], []
-    for name, part in (pair.split("/") for pair in config["evaluate_realism"]["compared_maps"]):
-        there = is_complete(".", dataset(name).parts[part].files)
+    for name, part in pairs(config["evaluate_realism"]["compared_maps"]):
+        there = (DATASETS / f"{name}.yaml").is_file() and is_complete(".", dataset(name).parts[part].files)
         (maps if there else absent).append((name, part) if there else name)
     for name in config["evaluate_realism"]["compared_drives"]:
-        there = is_complete(yaml.safe_load((DRIVES / f"{name}.yaml").read_text())["root"], ["*"])
+        file = DRIVES / f"{name}.yaml"
+        there = file.is_file() and is_complete(yaml.safe_load(file.read_text())["root"], ["*"])
         (drives if there else absent).append(name)
     return maps, drives, absent
+
+
+def find_static_scans():
+    """Data sets of a static scanner whose streets a mobile map of this run shows."""
+    wanted = [d for d in config["evaluate_density"]["static_scans"] if SIMULATED and (DATASETS / f"{d}.yaml").is_file()]
+    return [d for d in wanted if (facts(d)["same_streets_as"], "test") in SIMULATED]
 
 
 def moves_on_a_van(name):
@@ -289,8 +333,7 @@ def moves_on_a_van(name):
 
 SIMULATED = list(dict.fromkeys((d, labelled_part(d)) for d, _ in LABELLED if moves_on_a_van(d)))
 COMPARED_MAPS, COMPARED_DRIVES, NOT_COMPARED = find_compared() if SIMULATED else ([], [], [])
-# Static scans are shown beside the mobile maps of the same streets.
-STATIC_SCANS = [d for d in config["evaluate_density"]["static_scans"] if (facts(d)["same_streets_as"], "test") in SIMULATED]
+STATIC_SCANS = find_static_scans()
 
 
 def realism_tables():
@@ -302,3 +345,14 @@ def realism_tables():
 def map_and_truth(name):
     """A simulated data set's test map and its points' labels."""
     return [f"results/simulate_city/{name}/test/{file}" for file in ("map.laz", "truth/labels.npy")]
+
+
+REGISTERED, MERGED = pairs(config["registered_drives"]), pairs(config["merged_drives"])
+for drive, registrar in REGISTERED + MERGED:
+    check_registrar(drive, registrar, "registered_drives and merged_drives")
+LABELLED_DRIVES = [(d, r) for d, r in REGISTERED if has_labels(d)]
+
+
+def for_drives(path, selected):
+    """A path's instances for (drive, registrar) pairs."""
+    return list(dict.fromkeys(path.format(drive=d, registrar=r) for d, r in selected))

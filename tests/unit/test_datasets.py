@@ -135,6 +135,24 @@ def test_missing_keys_are_named(tmp_path, keys, message):
     assert message in str(error.value)
 
 
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"merge": None}, "'merge' is missing"),
+        ({"reader": None}, "'reader' is missing"),
+        ({"truth": "labels"}, "truth"),
+        ({"merge": {"drive": "kitti_0001"}}, "merge.registrar"),
+        ({"parts": {"test": {"n_tiles": 1}}}, "parts"),
+    ],
+)
+def test_a_merged_drive_is_a_map_without_truth(tmp_path, change, message):
+    facts = yaml.safe_load((CONFIG / "datasets" / "kitti_0001_street.yaml").read_text())
+    assert load(tmp_path, facts, "kitti_0001_street").source == "merge"
+    changed = {key: value for key, value in (facts | change).items() if value is not None}
+    with pytest.raises(BadInput, match=message):
+        load(tmp_path, changed, "kitti_0001_street")
+
+
 def test_what_is_no_facts_at_all(tmp_path):
     with pytest.raises(BadInput, match=r"no\.yaml: no such file"):
         load_dataset(tmp_path / "no.yaml", SCHEMA)
@@ -168,3 +186,24 @@ def test_the_schema_describes_and_closes_every_level():
                 walk(child, f"{place}[{i}]")
 
     walk(yaml.safe_load(SCHEMA.read_text()), "schema")
+
+
+def test_a_static_scan_is_of_the_streets_it_names():
+    files = {path.stem: yaml.safe_load(path.read_text()) for path in (CONFIG / "datasets").glob("*.yaml")}
+    static = {name: facts for name, facts in files.items() if "static_scanner" in facts.get("simulation", {})}
+    assert "city_tls" in static
+    for name, facts in static.items():
+        mobile = files[facts["same_streets_as"]]
+        # Lengths, slopes and seeds shape the streets; any difference would make them others.
+        assert {p: v["length_m"] for p, v in facts["parts"].items()} == {p: v["length_m"] for p, v in mobile["parts"].items()}, name
+        assert facts["simulation"]["street"] == mobile["simulation"]["street"], name
+
+
+@pytest.mark.parametrize("missing", ["scanners", "n_rounds", "errors"])
+def test_a_simulation_needs_a_mobile_mapper_or_a_static_scanner(missing, tmp_path):
+    facts = yaml.safe_load((CONFIG / "datasets" / "city.yaml").read_text())
+    del facts["simulation"][missing]
+    with pytest.raises(BadInput, match=missing):
+        load(tmp_path, facts, "city")
+    facts["simulation"]["static_scanner"] = {"spacing_m": 40}
+    load(tmp_path, facts, "city")
