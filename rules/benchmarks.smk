@@ -52,7 +52,7 @@ rule tabulate_benchmarks:
         code=library("tabulate_benchmarks"),
         evaluations=for_pairs("results/evaluate_labels/{dataset}/{model}/scores.csv", EVALUATED),
         confusions=for_pairs("results/evaluate_labels/{dataset}/{model}/confusion.csv", EVALUATED),
-        histories=for_pairs("results/train_segmenter/{dataset}/{model}/history.csv", TRAINED),
+        histories=[f"{training_of(d, m)}/history.csv" for d, m in TRAINED],
         views=for_pairs("results/evaluate_views/{dataset}/{split}/{model}/views", LABELLED),
     output:
         scores="results/tabulate_benchmarks/{run}/scores.csv",

@@ -114,15 +114,44 @@ rule import_drive:
         "../scripts/import_drive.py"
 
 
+rule simulate_drive:
+    """A drive through a simulated street on another day as MCAP, recorded by a rotating lidar and GPS; its truth apart."""
+    input:
+        code=library("simulate_drive"),
+        facts=f"{DRIVES}/{{drive}}.yaml",
+        schema=f"{HOME}/config/drive.schema.yaml",
+    output:
+        mcap="results/simulate_drive/{drive}/drive.mcap",
+        frames="results/simulate_drive/{drive}/frames.csv",
+        truth=directory("results/simulate_drive/{drive}/truth"),
+    log:
+        "results/simulate_drive/{drive}/drive.log",
+    benchmark:
+        "results/simulate_drive/{drive}/drive.bench.tsv"
+    conda:
+        "../envs/streetscan.yaml"
+    threads: config["n_threads"]
+    resources:
+        mem_mb=4000,
+    params:
+        data_root=config["data_root"],
+        drive=lambda w: w.drive,
+        street=street_of,
+        seed=config["seed"],
+        n_threads=config["n_threads"],
+    script:
+        "../scripts/simulate_drive.py"
+
+
 rule inspect_drive:
     """One page per drive: track, gaps, points per frame, frames and images, lidar in the image."""
     input:
         code=library("inspect_drive"),
         facts=f"{DRIVES}/{{drive}}.yaml",
         schema=f"{HOME}/config/drive.schema.yaml",
-        mcap="results/import_drive/{drive}/drive.mcap",
-        frames="results/import_drive/{drive}/frames.csv",
-        truth="results/import_drive/{drive}/truth",
+        mcap=drive_file("drive.mcap"),
+        frames=drive_file("frames.csv"),
+        truth=drive_file("truth"),
     output:
         sheet="results/inspect_drive/{drive}/sheet.html",
     log:
@@ -142,8 +171,8 @@ rule export_drive:
     """A drive in a common format; what the format cannot hold is said."""
     input:
         code=library("export_drive"),
-        mcap="results/import_drive/{drive}/drive.mcap",
-        truth="results/import_drive/{drive}/truth" if config["export_drive"]["with_truth"] else [],
+        mcap=drive_file("drive.mcap"),
+        truth=drive_file("truth") if config["export_drive"]["with_truth"] else [],
     output:
         folder=directory("results/export_drive/{drive}/exported"),
     log:

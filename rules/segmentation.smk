@@ -81,6 +81,35 @@ rule train_segmenter:
         "../scripts/train_segmenter.py"
 
 
+rule train_baseline:
+    """Boosted trees on the eigenvalues of each voxel's surroundings: what a network has to beat."""
+    input:
+        code=library("train_baseline"),
+        training=["results/turn_map/{dataset}/train/voxels.npz", "results/extract_samples/{dataset}/train/samples.npz"],
+        validation=["results/voxelize_map/{dataset}/validation/voxels.npz", "results/extract_samples/{dataset}/validation/samples.npz"],
+    output:
+        model="results/train_baseline/{dataset}/{model}/model.txt",
+        settings="results/train_baseline/{dataset}/{model}/settings.yaml",
+        history="results/train_baseline/{dataset}/{model}/history.csv",
+    log:
+        "results/train_baseline/{dataset}/{model}/model.log",
+    benchmark:
+        "results/train_baseline/{dataset}/{model}/model.bench.tsv"
+    wildcard_constraints:
+        model="|".join(BASELINES),
+    conda:
+        "../envs/streetscan.yaml"
+    threads: config["n_threads"]
+    resources:
+        mem_mb=4000,
+    params:
+        neighbours=config["train_baseline"]["neighbours"],
+        schedule=config["train_baseline"]["schedule"] | {"seed": config["seed"]},
+        n_threads=config["n_threads"],
+    script:
+        "../scripts/train_baseline.py"
+
+
 rule label_map:
     """Label and confidence of every voxel and point of a group of tiles."""
     input:

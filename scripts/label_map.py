@@ -5,8 +5,8 @@ from collections.abc import Sequence
 from streetscan.io.label_tiles import write_label_tile
 from streetscan.io.las import iterate_las, open_las_writer, read_crs
 from streetscan.logs import logged
-from streetscan.segmentation.c2cnn import Settings, check_same_settings, load_network
-from streetscan.segmentation.inference import label_points, label_voxels, parse_tiles
+from streetscan.segmentation.inference import label_points, parse_tiles
+from streetscan.segmentation.labellers import load_labeller
 from streetscan.voxels import VoxelGrid
 
 
@@ -18,17 +18,16 @@ def main(
     Args:
         map_path: LAZ file.
         voxels_path: its voxel grid.
-        network_paths: weights.safetensors and settings.yaml.
+        network_paths: weights.safetensors, or model.txt of a baseline, and settings.yaml.
         labelled_map_path: LAZ file to write: the points of the group's voxels, all fields kept, `label` and `confidence` added.
         labelled_voxels_path: `.npz` to write: rows into the grid, labels, confidence.
         tiles: the group, such as `0of9`.
         tile_m: edge of a tile.
         n_threads: threads; the result does not depend on it.
-        expected: the settings the weights must have been made with (`c2cnn.Settings`; size_m is the grid's).
+        expected: the settings they must have been made with (`c2cnn.Settings`, or `TreeSettings`; size_m is the grid's).
     """
-    grid, network = VoxelGrid.load(voxels_path), load_network(*network_paths)
-    check_same_settings(network.settings, Settings(size_m=grid.size_m, **expected), network_paths[0])
-    predictions = label_voxels(network, grid, tile_m, *parse_tiles(tiles), n_threads)
+    grid = VoxelGrid.load(voxels_path)
+    predictions = load_labeller(network_paths, expected, grid.size_m)(grid, tile_m, *parse_tiles(tiles), n_threads)
     with open_las_writer(labelled_map_path, read_crs(map_path)) as writer:
         for cloud in label_points(iterate_las(map_path), grid, *predictions):
             writer.write(cloud)

@@ -100,9 +100,9 @@ class DriveFacts:
     description: str
     source: str
     reader: str
-    root: str
     rate_hz: float
-    lidar: LidarFacts
+    root: str = ""
+    lidar: LidarFacts = LidarFacts()
     start_time_s: float = 0.0
     frames: tuple[int, ...] | None = None
     crs: str | None = None
@@ -110,6 +110,7 @@ class DriveFacts:
     gps: GpsFacts | None = None
     mounting: tuple[dict[str, Any], ...] = ()
     truth: TruthFacts = field(default_factory=TruthFacts)
+    simulation: dict[str, Any] | None = None
     where: str = "drive"
 
     @property
@@ -141,6 +142,8 @@ def read_drive_facts(path: str | Path, schema_path: str | Path) -> DriveFacts:
 
 def _check_keys(facts: DriveFacts) -> None:
     """Refuse files that lack what their reader needs, or say what it would not read."""
+    if facts.reader == "simulate":
+        return  # the schema says it all
     is_folder, is_topic = facts.reader == "folder", facts.reader in ("bag", "mcap")
     needed = {"folder": "files", "bag": "topic", "mcap": "topic", "pcap": "model"}[facts.reader]
     for name, section in (("lidar", facts.lidar), ("camera", facts.camera), ("gps", facts.gps)):
@@ -234,6 +237,10 @@ class Recording:
     @property
     def has_true_poses(self) -> bool:
         return self._poses is not None
+
+    def write_truth(self, folder: Path, times_ns: list[int]) -> dict:
+        """Write truth beyond labels, poses and extrinsics, of which a recording knows none; says in a mapping what there is."""
+        return {}
 
     def _packet_decoder(self) -> PacketDecoder:
         lidar = self.facts.lidar
@@ -358,12 +365,12 @@ def import_drive(recording: Recording, name: str, mcap_path: str | Path, frames_
     """Write a recording as MCAP, a table of its frames, and its truth apart; streaming, in memory that does not grow with points.
 
     Args:
-        recording: the recording.
+        recording: the recording, or what has its members (`streetscan.simulation.drives.SimulatedRecording`).
         name: of the drive.
         mcap_path: drive.mcap.
         frames_path: frames.csv, one row per message of `/lidar`, in this order, with its status.
-        truth_folder: gets poses.csv and poses.tum, labels/<frame>.npy (uint32, the source's ids, in the order of the points),
-            extrinsics.yaml, as far as there is truth; and truth.yaml, which says what there is.
+        truth_folder: gets poses.csv and poses.tum, labels/<frame>.npy and instances/<frame>.npy (uint32, the source's ids, in the order
+            of the points), as far as there is truth; and truth.yaml, with the extrinsics, which says what there is.
     Returns:
         how many frames have each status.
     Raises:
@@ -384,8 +391,9 @@ def import_drive(recording: Recording, name: str, mcap_path: str | Path, frames_
                 case LidarFrame():
                     table.add_frame(record, recording.true_pose(record) if recording.has_true_poses else None)
                     writer.write_lidar(record)
-                    if record.labels is not None:
-                        save_npy(truth / "labels" / f"{table.n_frames - 1:06d}.npy", record.labels)
+                    for kind in ("labels", "instances"):
+                        if (values := getattr(record, kind)) is not None:
+                            save_npy(truth / kind / f"{table.n_frames - 1:06d}.npy", values)
                 case CameraImage():
                     if record.status == "ok" and model is not None and model.width and image_size(record) != (model.width, model.height):
                         record.status = "other_size"
@@ -530,6 +538,7 @@ def _write_truth(recording: Recording, table: _FrameTable, folder: Path) -> None
         }
     if recording.T_camera_lidar is not None:
         contents["extrinsics"] = {"T_camera_lidar": recording.T_camera_lidar.tolist(), "source": facts.truth.extrinsics["source"]}
+    contents |= recording.write_truth(folder, table.time_ns)
     with atomic_path(folder / "truth.yaml") as partial_path:
         partial_path.write_text(yaml.safe_dump(contents, sort_keys=False))
 

@@ -53,6 +53,7 @@ class LidarFrame:
         source: the file it comes from, or empty.
         n_dropped: returns without finite coordinates, left out.
         labels: (N,) uint32 true labels in the source's own ids, or None; they never go into the drive's file.
+        instances: (N,) uint32 the true object, 0 for none, or None; likewise.
     """
 
     time_ns: int
@@ -65,6 +66,7 @@ class LidarFrame:
     source: str = ""
     n_dropped: int = 0
     labels: np.ndarray | None = None
+    instances: np.ndarray | None = None
 
     def __len__(self) -> int:
         return len(self.points)
@@ -87,13 +89,17 @@ class CameraImage:
 
 @dataclass
 class GpsFix:
-    """One position, WGS 84 degrees and metres; covariance_m2 (3, 3) of east, north, up, or None. NaN altitude: not measured."""
+    """One position, WGS 84 degrees and metres; covariance_m2 (3, 3) of east, north, up, or None. NaN altitude: not measured.
+
+    `heading_rad` is clockwise from true north, or None when the receiver does not tell it.
+    """
 
     time_ns: int
     latitude_deg: float
     longitude_deg: float
     altitude_m: float
     covariance_m2: np.ndarray | None = None
+    heading_rad: float | None = None
 
 
 @dataclass
@@ -139,7 +145,7 @@ def drop_non_finite(frame: LidarFrame) -> LidarFrame:
         kept = np.isfinite(frame.points).all(axis=1)
         frame.n_dropped += int((~kept).sum())
         frame.points = frame.points[kept]
-        for name in ("intensity", "ring", "time_offset_s", "labels"):
+        for name in ("intensity", "ring", "time_offset_s", "labels", "instances"):
             if (values := getattr(frame, name)) is not None:
                 setattr(frame, name, values[kept])
     if len(frame) == 0 and frame.status == "ok":

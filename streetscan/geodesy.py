@@ -18,6 +18,13 @@ def project(latitude_deg: np.ndarray, longitude_deg: np.ndarray, crs: str, where
     return np.stack(to_grid.transform(np.asarray(longitude_deg, np.float64), np.asarray(latitude_deg, np.float64)), axis=-1)
 
 
+def unproject(positions: np.ndarray, crs: str, where: object = "crs") -> tuple[np.ndarray, np.ndarray]:
+    """Latitudes and longitudes (N,) in WGS 84 degrees of eastings and northings (N, 2) in metres; BadInput like project."""
+    to_degrees = pyproj.Transformer.from_crs(projected_crs(crs, where), "EPSG:4326", always_xy=True)
+    longitude_deg, latitude_deg = to_degrees.transform(*np.asarray(positions, np.float64).T)
+    return latitude_deg, longitude_deg
+
+
 def grid_poses(
     latitude_deg: np.ndarray, longitude_deg: np.ndarray, height_m: np.ndarray, rpy_rad: np.ndarray, crs: str, where: object = "crs"
 ) -> np.ndarray:

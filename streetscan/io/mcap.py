@@ -100,7 +100,7 @@ class DriveWriter:
         self._write(CALIBRATION, message, time_ns)
 
     def write_fix(self, fix: GpsFix) -> None:
-        """Append a position to `/gps`; its heading and speed are left out, for they would tell a method the pose."""
+        """Append a position to `/gps`, with the heading where the receiver tells one."""
         message = LocationFix(
             timestamp=_timestamp(fix.time_ns),
             frame_id="gps",
@@ -108,6 +108,8 @@ class DriveWriter:
             longitude=fix.longitude_deg,
             altitude=fix.altitude_m,
         )
+        if fix.heading_rad is not None:
+            message.heading = fix.heading_rad
         if fix.covariance_m2 is not None:
             message.position_covariance.extend(np.asarray(fix.covariance_m2, float).ravel().tolist())
             message.position_covariance_type = LocationFix.APPROXIMATED
@@ -273,7 +275,10 @@ def record_of_message(schema: str, message: object, conventions: LidarConvention
         covariance = None
         if message.position_covariance_type != LocationFix.UNKNOWN and len(message.position_covariance) == 9:
             covariance = np.array(message.position_covariance).reshape(3, 3)
-        return GpsFix(_time_ns(message.timestamp), message.latitude, message.longitude, message.altitude, covariance)
+        # Messages of before 2025 know no heading.
+        has_heading = "heading" in message.DESCRIPTOR.fields_by_name and message.HasField("heading")
+        heading_rad = message.heading if has_heading else None
+        return GpsFix(_time_ns(message.timestamp), message.latitude, message.longitude, message.altitude, covariance, heading_rad)
     if schema == "foxglove.CameraCalibration":
         K, P = np.array(message.K), np.array(message.P)
         if len(K) != 9:

@@ -5,7 +5,9 @@ lidar (Velodyne HDL-64), 1550 nm for the mobile mapping scanner (Riegl VQ-450).
 
 Sources: orders of magnitude of the spectral libraries (ECOSTRESS/ASTER: asphalt, concrete, brick, roofing; leaf
 water absorption at 1450 and 1940 nm makes leaves and skin darker at 1550 than at 905 nm).
-ASSUME: the exact figures, the share of pulses a pane lets through, and the gloss are ours; the papers give none.
+ASSUME: the exact figures, the share of pulses a pane lets through, and the gloss are ours; the papers give none. They are
+such that the surfaces laser scanners are known to lose (panes, black paint, wet road) answer only near by or squarely, and that
+retro-reflective sheeting answers some 25 dB above a white wall.
 """
 
 from typing import NamedTuple
@@ -34,7 +36,7 @@ class Material(NamedTuple):
 
 MATERIALS = (
     Material("asphalt", 0.18, 0.14),
-    Material("wet_asphalt", 0.05, 0.06, specularity=0.6, roughness=0.15),
+    Material("wet_asphalt", 0.03, 0.05, specularity=0.8, roughness=0.10),
     Material("marking", 0.55, 0.70),
     Material("concrete", 0.38, 0.35),
     Material("paving", 0.33, 0.30),
@@ -42,17 +44,17 @@ MATERIALS = (
     Material("plaster", 0.62, 0.60),
     Material("stone", 0.45, 0.42),
     Material("roof_tile", 0.40, 0.32),
-    Material("glass", 0.06, 0.07, transmission=0.70, specularity=0.90, roughness=0.02),
-    Material("car_glass", 0.05, 0.05, transmission=0.45, specularity=0.90, roughness=0.02),
+    Material("glass", 0.04, 0.05, transmission=0.70, specularity=0.96, roughness=0.02),
+    Material("car_glass", 0.04, 0.05, transmission=0.45, specularity=0.96, roughness=0.02),
     Material("paint_white", 0.70, 0.72, specularity=0.25, roughness=0.10),
     Material("paint_silver", 0.45, 0.45, specularity=0.45, roughness=0.15),
     Material("paint_colour", 0.50, 0.40, specularity=0.35, roughness=0.10),
-    Material("paint_dark", 0.15, 0.12, specularity=0.50, roughness=0.10),
-    Material("paint_black", 0.04, 0.04, specularity=0.60, roughness=0.08),
+    Material("paint_dark", 0.10, 0.09, specularity=0.60, roughness=0.08),
+    Material("paint_black", 0.03, 0.03, specularity=0.75, roughness=0.06),
     Material("metal", 0.45, 0.40, specularity=0.40, roughness=0.25),
     Material("painted_metal", 0.40, 0.30, specularity=0.15, roughness=0.30),
     Material("rail", 0.30, 0.25, specularity=0.70, roughness=0.10),
-    Material("retroreflector", 4.0, 5.0, roughness=0.05),
+    Material("retroreflector", 300.0, 300.0, roughness=0.05),
     Material("leaves", 0.28, 0.48, transmission=0.05),
     Material("bark", 0.38, 0.28),
     Material("grass", 0.24, 0.45),

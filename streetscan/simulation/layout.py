@@ -21,9 +21,14 @@ from streetscan.errors import BadInput
 from streetscan.simulation import actors as traffic
 from streetscan.simulation import buildings, shapes, terrain
 from streetscan.simulation.blocks import HOUSE_DEPTH_M, House, Item, Plan, plan_block
+from streetscan.simulation.changes import Change, Day, change_block, dress
 from streetscan.simulation.meshes import Surface, join, transform, tube, with_instances
 from streetscan.simulation.scene import Actor, Mesh, Scene
 from streetscan.simulation.terrain import KERB_HEIGHT_M, KERB_M, SIDEWALK_M, Axis
+
+# Of everything in streetscan.simulation that shapes a map: geometry, traffic, materials, scanner. A change of any of it raises
+# the version and re-opens every number made with the city. 1: frozen for the first networks.
+GENERATOR_VERSION = 1
 
 BLOCK_M = 120.0
 MARGIN_M = 25.0
@@ -31,7 +36,7 @@ CROSS_STREET_M = 42.0  # how far the mapping vehicle follows a cross street to e
 CITY_CRS = "EPSG:23700"
 CITY_ORIGIN = (650_000.0, 240_000.0, 110.0)
 # Instance ids: split, then block, then object.
-_PER_SPLIT, _PER_BLOCK, _ACTORS = 1_000_000_000, 100_000, 40_000
+_PER_SPLIT, _PER_BLOCK, _ITEMS, _ACTORS = 1_000_000_000, 100_000, 1000, 40_000
 _SPLIT_NUMBERS = {"train": 0, "validation": 1, "test": 2, "all": 3}
 _CYCLE_S = 40.0  # of the traffic lights
 # The main road gets green about when the recording begins: its first drive meets traffic that moves, the second a queue.
@@ -49,8 +54,10 @@ def _house_mesh(axis: Axis, house: House) -> Mesh:
     return transform(mesh, float(axis.yaw_at(house.s)) + house.turn_rad, axis.to_map(house.s, house.t, KERB_HEIGHT_M)[0])
 
 
-def _item_mesh(axis: Axis, item: Item) -> Mesh:
+def _item_mesh(axis: Axis, item: Item, day: Day | None) -> Mesh:
     mesh = shapes.make_object(item.name, item.design, np.random.default_rng(item.seed))
+    if day is not None:
+        mesh = dress(mesh, item.name, day.season, np.random.default_rng([item.seed, day.number]))
     # Vehicles and what is long lies on the slope; poles, people and trees stand upright.
     lies = item.name in shapes.BASE_SHAPES["car"] + shapes.BASE_SHAPES["tram_bus"] + shapes.BASE_SHAPES["furniture"] + shapes.SHRUBS
     slope = axis.slope_at(item.s, item.t, item.turn_rad) if lies else (0.0, 0.0)
@@ -232,8 +239,10 @@ def _traffic(
     traffic_density: float,
     n_pedestrians: float,
     first: int,
+    day: Day | None,
 ) -> list[Actor]:
-    lane_seed = int(np.random.default_rng([seed, zlib.crc32(split.encode()), 13, number + 1]).integers(2**31))
+    of_day = [] if day is None else [day.number]
+    lane_seed = int(np.random.default_rng([seed, zlib.crc32(split.encode()), 13, number + 1, *of_day]).integers(2**31))
     found: list[Actor] = []
     for i, (lane, window) in enumerate(_lanes(axis, a, b, plans, traffic_density, n_pedestrians, lane_seed)):
         rng = np.random.default_rng([lane_seed, 14, i])
@@ -248,6 +257,39 @@ def _traffic(
                 axis, c + end * (terrain.CROSS_EDGE_M + 2.7), signal, n, split, time_span_s, rng, first + 54_000 + 500 * (2 * k + j)
             )
     return found
+
+
+def _change_rows(axis: Axis, changes: list[Change], base: int) -> list[dict]:
+    """Changes with map coordinates and instance ids, 0 where an object is not."""
+    rows = []
+    for c in changes:
+        x, y, _ = axis.to_map(c.s, c.t)[0]
+        now, before = (base + _ITEMS + 4 * k if k >= 0 else 0 for k in (c.index, c.index_before))
+        row = {"class": c.kind, "change": c.what, "name": c.name, "instance": now, "instance_before": before}
+        rows.append(row | {"x_m": round(float(x), 3), "y_m": round(float(y), 3), "moved_m": round(c.moved_m, 3)})
+    return rows
+
+
+def _places(axis: Axis, a: float, b: float, plans: list[Plan]) -> dict[str, list[np.ndarray]]:
+    """Lines to drive along by the kind of place: a main road, a narrow one, a turn at a crossroads, past a square, over a bridge."""
+
+    def line(s, t):
+        return axis.to_map(*np.broadcast_arrays(np.asarray(s, float), np.asarray(t, float)))
+
+    stations = np.append(np.arange(a, b, 2.0), b)
+    places = {"main_road": [line(stations, 0.0)]}
+    across = np.arange(-CROSS_STREET_M, CROSS_STREET_M + 1, 2.0)
+    for c in (c for p in plans for c in p.crossings if a <= c < b):
+        places.setdefault("narrow_road", []).append(line(c, across))
+        # Turning right: a quarter circle whose lane clears the kerb.
+        radius, angles = 9.0, np.linspace(0, np.pi / 2, 10)
+        s = np.concatenate([np.arange(max(a, c - 50.0), c - radius, 2.0), c - radius + radius * np.sin(angles), np.full(15, c)])
+        t = np.concatenate([np.zeros(len(s) - 25), radius * (np.cos(angles) - 1), -radius - np.arange(2.0, 32.0, 2.0)])
+        places.setdefault("crossroads", []).append(line(s, t))
+    for kind in ("square", "bridge"):
+        for zone in (z for p in plans for z in p.zones if kind in (z.left, z.right) and a <= z.s0 < b):
+            places.setdefault(kind, []).append(line(np.arange(max(a, zone.s0 - 15), min(b, zone.s1 + 15), 2.0), 0.0))
+    return places
 
 
 def count_blocks(length_m: float) -> int:
@@ -271,6 +313,7 @@ def build_street(
     block: int | None = None,
     crs: str = CITY_CRS,
     origin: tuple[float, float, float] = CITY_ORIGIN,
+    day: Day | None = None,
 ) -> Scene:
     """The street of one split, or one block of it.
 
@@ -289,8 +332,9 @@ def build_street(
         block: number of the block to build, with a margin of 25 m of its neighbours; None builds the whole street.
         crs: of the map.
         origin: easting, northing, height of the train street's start; the other splits' streets lie 20 km apart.
+        day: how the street differs from the one that is mapped; None is the day of the map.
     Returns:
-        Scene whose roads are the main road (of the block) and its cross streets.
+        Scene whose roads are the main road (of the block) and its cross streets; `places` are stretches of them by kind.
     Raises:
         BadInput: unknown split, a length below 20 m, a slope above 0.15, or a block that does not exist.
     """
@@ -317,15 +361,19 @@ def build_street(
         s0, s1 = (i * size, (i + 1) * size) if is_inner else ((-MARGIN_M, 0.0) if i < 0 else (length_m, length_m + MARGIN_M))
         plans.append((i, plan_block(i, s0, s1, is_inner, n == 1, split, seed, clutter, n_pedestrians)))
 
-    meshes = []
+    meshes, changes = [], []
     for i, plan in plans:
         base = number * _PER_SPLIT + (i + 2) * _PER_BLOCK
+        items = list(enumerate(plan.items))
+        if day is not None:
+            items, changed = change_block(plan, day, np.random.default_rng([seed, code, 17, i + 1, day.number]))
+            changes += _change_rows(axis, changed, base) if a <= plan.s0 < b else []
         for k, house in enumerate(plan.houses):
             if a - MARGIN_M <= house.s < b + MARGIN_M:
                 meshes.append(with_instances(_house_mesh(axis, house), base + 1 + k)[0])
-        for k, item in enumerate(plan.items):
+        for k, item in items:
             if a - MARGIN_M <= item.s < b + MARGIN_M:
-                meshes.append(with_instances(_item_mesh(axis, item), base + 1000 + 4 * k)[0])
+                meshes.append(with_instances(_item_mesh(axis, item, day), base + _ITEMS + 4 * k)[0])
     only = [p for _, p in plans]
     reach = 45.0
     zones = [z for p in only for z in p.zones]
@@ -352,5 +400,5 @@ def build_street(
             2 * (np.linalg.norm(np.diff(r, axis=0), axis=1).sum() / (v / 3.6) * 1.1 + 6.0) for r, v in zip(roads, speeds, strict=True)
         )
         time_span_s = (-10.0, float(n_rounds * drives))
-    found = _traffic(axis, a, b, only, split, seed, first, time_span_s, traffic_density, n_pedestrians, base + _ACTORS)
-    return Scene(static, found, roads, speeds, terrain.LANE_M, crs)
+    found = _traffic(axis, a, b, only, split, seed, first, time_span_s, traffic_density, n_pedestrians, base + _ACTORS, day)
+    return Scene(static, found, roads, speeds, terrain.LANE_M, crs, _places(axis, a, b, only), changes)

@@ -51,6 +51,8 @@ class Trajectory:
     positions: np.ndarray
     rotations: np.ndarray
 
+    rate_hz = _POSE_RATE_HZ
+
     @property
     def end_s(self) -> float:
         """Time of the last pose."""
@@ -74,11 +76,13 @@ class Errors:
         drift_m: standard deviation, per axis, of the slowly varying position error.
         pass_offset_m: (least, most) length of the constant horizontal offset of every pass after the first.
         attitude_deg: standard deviation, per axis, of the slowly varying attitude error.
+        boresight_deg: standard deviation, per axis, of the constant error of how each scanner is mounted.
     """
 
     drift_m: float = 0.03
     pass_offset_m: tuple[float, float] = (0.02, 0.10)
     attitude_deg: float = 0.01
+    boresight_deg: float = 0.01
 
 
 @dataclass
@@ -203,6 +207,7 @@ def record_map(
         records in order of time.
     """
     chunk_s = chunk_pulses / max(s.pulses_per_s for s in scanners)
+    mounts = [_misjudged_mount(errors, np.random.default_rng([seed, 6, k])) for k in range(len(scanners))]
     clock_s = 0.0
     for i, scene in enumerate(scenes):
         passes = plan_passes(scene, errors, seed + 7919 * i, n_rounds)
@@ -212,16 +217,16 @@ def record_map(
             wanted = [c for p, c in chunks[low:high] if p is drive]
             if not wanted:
                 continue
-            caster = SceneCaster(_without_collisions(scene, drive.truth), drive.truth.start_s, drive.truth.end_s)
+            caster = SceneCaster(without_collisions(scene, drive.truth), drive.truth.start_s, drive.truth.end_s)
             for c in wanted:
-                for record in _record_chunk(caster, scene.crs, drive, c, chunk_s, scanners, receiver, cameras, seed + 7919 * i):
+                for record in _record_chunk(caster, scene.crs, drive, c, chunk_s, scanners, mounts, receiver, cameras, seed + 7919 * i):
                     record.cloud.fields["time_s"] += clock_s
                     yield record
         # Each scene has a clock of its own; the map has one.
         clock_s = np.ceil(clock_s + max((p.truth.end_s for p in passes), default=0.0)) + 60.0
 
 
-def _record_chunk(caster, crs, drive: Pass, chunk: int, chunk_s: float, scanners, receiver, cameras, seed: int) -> Iterator[Record]:
+def _record_chunk(caster, crs, drive: Pass, chunk: int, chunk_s: float, scanners, mounts, receiver, cameras, seed: int) -> Iterator[Record]:
     for number, scanner in enumerate(scanners):
         rng = np.random.default_rng([seed, 2, drive.index, chunk, number])
         start_s, end_s = drive.truth.start_s, drive.truth.end_s
@@ -237,7 +242,7 @@ def _record_chunk(caster, crs, drive: Pass, chunk: int, chunk_s: float, scanners
         if len(returns) == 0:
             continue
         rows, ranges = returns.pulses, returns.ranges_m[:, None]
-        believed_origins, believed_directions = _place(drive.believed, times_s[rows], scanner.position_m, body[rows])
+        believed_origins, believed_directions = _place(drive.believed, times_s[rows], scanner.position_m, body[rows] @ mounts[number].T)
         rgb = _colour(caster, drive, origins[rows] + ranges * directions[rows], times_s[rows], cameras, seed, rng)
         yield _as_record(caster, returns, believed_origins + ranges * believed_directions, times_s[rows], rgb, crs)
 
@@ -373,6 +378,11 @@ def _misjudge(truth: Trajectory, errors: Errors, is_first: bool, rng: np.random.
     return replace(truth, positions=truth.positions + drift + offset, rotations=turned)
 
 
+def _misjudged_mount(errors: Errors, rng: np.random.Generator) -> np.ndarray:
+    """(3, 3) float32 small rotation between how a scanner is mounted and how it is believed to be."""
+    return _rotations(*np.radians(errors.boresight_deg * rng.standard_normal((3, 1))))[0].astype(np.float32)
+
+
 def _slow_noise(times: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """(n, 3) smooth noise of unit standard deviation: four waves of 8 to 60 s per axis."""
     periods = rng.uniform(8, 60, (4, 3))
@@ -392,7 +402,7 @@ def _smooth(line: np.ndarray, sigma: float) -> np.ndarray:
     return gaussian_filter1d(padded, sigma, axis=0, mode="nearest")[n:-n]
 
 
-def _without_collisions(scene: Scene, truth: Trajectory) -> Scene:
+def without_collisions(scene: Scene, truth: Trajectory) -> Scene:
     """The scene without the actors that would run into the mapping vehicle during this drive.
 
     ASSUME: other traffic keeps 1.5 m away from the van; whoever does not, because a scene's traffic knows nothing of

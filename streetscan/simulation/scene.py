@@ -69,6 +69,8 @@ class Scene:
         speeds_kmh: the speed a mapping vehicle drives on each road.
         lane_offset_m: distance from the centre line to the middle of the driving lane (right-hand traffic).
         crs: the map's projected CRS.
+        places: kind of place to the lines, (K, 3) float64 each, along which one drives through it.
+        changes: one row per object of what became of it since the day of the map; empty on that day.
     """
 
     static: Mesh
@@ -77,6 +79,8 @@ class Scene:
     speeds_kmh: list[float] = field(default_factory=list)
     lane_offset_m: float = 1.75
     crs: str | None = None
+    places: dict[str, list[np.ndarray]] = field(default_factory=dict)
+    changes: list[dict] = field(default_factory=list)
 
 
 def join_meshes(meshes: list[Mesh]) -> Mesh:

@@ -60,9 +60,9 @@ def mobile_mapper(
 VEHICLE_BOX_M = ((-2.6, -0.95, 0.0), (2.4, 0.95, 1.9))
 
 
-def hits_own_vehicle(position_m: tuple[float, float, float], directions: np.ndarray) -> np.ndarray:
-    """(n,) bool: rays from a mirror above the roof, (n, 3) in the vehicle frame, that end on the vehicle's own roof."""
-    (x_low, y_low, _), (x_high, y_high, roof) = VEHICLE_BOX_M
+def hits_own_vehicle(position_m: tuple[float, float, float], directions: np.ndarray, box_m: tuple = VEHICLE_BOX_M) -> np.ndarray:
+    """(n,) bool: rays from a mirror above the roof, (n, 3) in the vehicle frame, that end on the roof of the vehicle's box."""
+    (x_low, y_low, _), (x_high, y_high, roof) = box_m
     down = np.minimum(directions[:, 2], -1e-6)
     to_roof = (roof - position_m[2]) / down
     x, y = position_m[0] + to_roof * directions[:, 0], position_m[1] + to_roof * directions[:, 1]

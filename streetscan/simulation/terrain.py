@@ -240,6 +240,15 @@ def _strips(axis: Axis, rectangles: list[tuple], lift: float, surface: Surface) 
     return quads(axis.to_map(s.ravel(), t.ravel(), lift).reshape(-1, 4, 3), surface)
 
 
+def _puddle(s: float, t: float, length: float, half_width: float, rng: np.random.Generator) -> list[tuple]:
+    """Rectangles (a0, a1, b0, b1) that make a puddle of ragged outline from s to s + length, its middle line at t."""
+    edges = np.linspace(s, s + length, max(4, round(length / 0.2)) + 1)
+    middles = (edges[:-1] + edges[1:]) / 2
+    widths = half_width * np.sqrt(1 - (2 * (middles - s) / length - 1) ** 2)
+    left, right = widths * rng.uniform(0.6, 1.0, (2, len(widths)))
+    return list(zip(edges[:-1], edges[1:], t - right, t + left, strict=True))
+
+
 def _markings(axis: Axis, s0: float, s1: float, zones: list[Zone], crossings: list[float], seed: int) -> list[Mesh]:
     """Lane markings, zebra crossings, rails, manhole covers, patches and puddles, a few millimetres above the ground."""
     white = Surface(GROUND, "marking", (226, 226, 220))
@@ -270,9 +279,10 @@ def _markings(axis: Axis, s0: float, s1: float, zones: list[Zone], crossings: li
         for _ in range(3):
             a, t = 20 * cell + rng.uniform(0, 16), rng.uniform(-9, 7)
             patches.append((a, a + rng.uniform(0.8, 4), t, t + rng.uniform(0.6, 2.0)))
-        for _ in range(2):
-            a, side = 20 * cell + rng.uniform(0, 16), rng.choice([-1, 1])
-            puddles.append((a, a + rng.uniform(0.6, 3), *sorted((side * KERB_M - side * rng.uniform(0.3, 0.8), side * (KERB_M - 0.02)))))
+        for _ in range(2):  # in the gutter, and where wheels have worn the road
+            puddles += _puddle(20 * cell + rng.uniform(0, 16), rng.choice([-1, 1]) * (KERB_M - 0.35), rng.uniform(1, 4), 0.33, rng)
+            track = rng.choice([-1, 1]) * rng.choice([1.0, 2.5, OUTER_LANE_M, BICYCLE_LANE_M])
+            puddles += _puddle(20 * cell + rng.uniform(0, 16), track, rng.uniform(1, 5), rng.uniform(0.25, 0.7), rng)
         for _ in range(3):
             covers.append(
                 (20 * cell + rng.uniform(1, 19), rng.choice([-12.3, -7.0, -3.1, -1.75, 1.75, 3.1, 7.0, 12.3]), rng.uniform(0.28, 0.36))

@@ -1,8 +1,11 @@
+import zlib
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import open3d as o3d
 import pytest
+import yaml
 from scipy.spatial import cKDTree
 
 from streetscan import classes
@@ -168,6 +171,21 @@ def test_slopes_and_relief_of_a_long_street():
     # s is the arc length of the axis.
     xy = axis.to_map(s, 0 * s)[:, :2]
     assert np.abs(np.linalg.norm(np.diff(xy, axis=0), axis=1) - 1).max() < 0.01
+
+
+def test_the_paper_size_city_climbs_fifty_metres_at_slopes_of_eight_per_cent():
+    folder = Path(__file__).parents[2] / "config"
+    facts = yaml.safe_load((folder / "datasets" / "city_paper.yaml").read_text())
+    seed = yaml.safe_load((folder / "default.yaml").read_text())["seed"]
+    street, heights, slopes = facts["simulation"]["street"], [], []
+    for split, part in facts["parts"].items():
+        rng = np.random.default_rng([seed, zlib.crc32(split.encode()), 10])
+        axis = terrain.draw_axis(part["length_m"], street["max_slope"], street["relief_m"], (0.0, 0.0, 110.0), rng)
+        s = np.arange(0, part["length_m"], 1.0)
+        heights.append(np.ptp(axis.profile(s)))
+        slopes.append(np.abs(np.gradient(axis.profile(s), s)).max())
+    assert max(heights) > 50
+    assert 0.07 < min(slopes) <= max(slopes) <= 0.0801
 
 
 def test_street_coordinates_of_the_axis_start_and_sides():

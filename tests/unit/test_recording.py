@@ -15,8 +15,8 @@ from streetscan.simulation.recording import Errors, Record, drive_road, plan_pas
 from streetscan.simulation.scene import Actor, Mesh, Scene, join_meshes
 from streetscan.simulation.sensors import ProfileScanner, StaticScanner, mobile_mapper
 
-NO_ERRORS = Errors(drift_m=0.0, pass_offset_m=(0.0, 0.0), attitude_deg=0.0)
-EXACT = Receiver(range_noise_m=0.0, n_subrays=0)
+NO_ERRORS = Errors(drift_m=0.0, pass_offset_m=(0.0, 0.0), attitude_deg=0.0, boresight_deg=0.0)
+EXACT = Receiver(range_noise_m=0.0, n_subrays=0)  # every pulse one ray
 
 
 def road(length_m: float = 30.0) -> np.ndarray:
@@ -103,6 +103,17 @@ def test_navigation_errors_are_as_large_as_asked_and_smooth():
     assert np.abs(np.diff(drift, axis=0)).max() * 200 < 0.1  # no faster than 10 cm a second
     offset = (second.believed.positions - second.truth.positions).mean(axis=0)
     assert np.linalg.norm(offset[:2]) == pytest.approx(0.05, abs=0.02)
+
+
+def test_each_scanner_is_mounted_a_little_otherwise_than_believed():
+    errors = Errors(0.0, (0.0, 0.0), 0.0, boresight_deg=0.05)
+    exact, wrong = (record(street(), errors=e) for e in (NO_ERRORS, errors))
+    np.testing.assert_array_equal(exact.labels, wrong.labels)
+    shifts = np.linalg.norm(exact.cloud.points - wrong.cloud.points, axis=1)
+    # The error is an angle: it grows with the range, and stays within what angles of some 0.05 degrees do at 30 m.
+    assert 1e-3 < np.median(shifts) < np.radians(0.2) * 30
+    far = np.abs(exact.cloud.points[:, 1]) > 8
+    assert np.median(shifts[far]) > np.median(shifts[~far])
 
 
 def test_the_points_of_an_exact_recording_lie_on_the_surfaces():

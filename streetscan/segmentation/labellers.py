@@ -1,0 +1,32 @@
+"""Whatever labels voxels, by the files it is stored in: a network (safetensors) or boosted trees (LightGBM's text)."""
+
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from streetscan.segmentation.baselines.boosted_trees import TreeSettings, check_same_trees, load_trees
+from streetscan.segmentation.c2cnn import Settings, check_same_settings, load_network
+from streetscan.segmentation.inference import label_voxels
+
+Labels = tuple[np.ndarray, np.ndarray, np.ndarray]
+
+
+def load_labeller(paths: Sequence[str | Path], expected: Mapping, size_m: float) -> Callable[..., Labels]:
+    """The function that labels the voxels of a group of tiles: `grid, tile_m, group, n_groups, n_threads` as in `label_voxels`.
+
+    Args:
+        paths: weights.safetensors or model.txt, and settings.yaml.
+        expected: the settings they must have been made with, of `c2cnn.Settings` or `boosted_trees.TreeSettings`.
+        size_m: voxel edge of the map to label.
+    Raises:
+        BadInput: a file is damaged, or was made with other settings.
+    """
+    if Path(paths[0]).suffix == ".txt":
+        trees = load_trees(*paths)
+        check_same_trees(trees.settings, TreeSettings(size_m=size_m, **expected), paths[0])
+        return trees.label_voxels
+    network = load_network(*paths)
+    check_same_settings(network.settings, Settings(size_m=size_m, **expected), paths[0])
+    return partial(label_voxels, network)
