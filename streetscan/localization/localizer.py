@@ -128,7 +128,7 @@ class VotingLocalizer:
         T_level_lidar = level_of(ground)
         observed = find_objects(ground, s.objects, T_level_lidar)
         clock.append(time.perf_counter())
-        T_start = self.place_start(xy, 0.0 if np.isnan(start.yaw_rad) else start.yaw_rad, -ground.plane[2])
+        T_start = place_start(reference, xy, 0.0 if np.isnan(start.yaw_rad) else start.yaw_rad, -ground.plane[2])
         peaks, n_objects, n_landmarks = self.search(observed.objects, T_start, window)
         clock.append(time.perf_counter())
         found = Location("too_few_objects", n_objects=n_objects, n_landmarks=n_landmarks)
@@ -145,15 +145,6 @@ class VotingLocalizer:
         clock.append(time.perf_counter())
         found.seconds = np.diff(clock)
         return found
-
-    def place_start(self, xy: np.ndarray, yaw_rad: float, sensor_height_m: float) -> np.ndarray:
-        """T_origin_start (4, 4): on the map's road at a position, tilted as the road is, at the height of the sensor above it."""
-        plane = self._reference.plane_at(xy)
-        normal = np.array([-plane[0], -plane[1], 1.0]) / np.sqrt(plane[0] ** 2 + plane[1] ** 2 + 1)
-        T = np.eye(4)
-        T[:3, :3] = _tilt(normal) @ transform(rpy_rad=(0, 0, yaw_rad))[:3, :3]
-        T[:3, 3] = np.array([*xy, plane[2]]) + normal * sensor_height_m
-        return T
 
     def search(self, observed: ObjectSet, T_start: np.ndarray, window: Window) -> tuple[list[Peak], int, int]:
         """Peaks of the vote, best first, most pairs that can be true at once, and landmarks in range.
@@ -195,7 +186,7 @@ class VotingLocalizer:
             return
         shift, turn, share = places[0]
         margin = 1 - (places[1][2] / share if len(places) > 1 else 0.0)
-        T = self.place_start(xy + shift, yaw + turn, frame.sensor_height_m) @ frame.T_level_lidar
+        T = place_start(self._reference, xy + shift, yaw + turn, frame.sensor_height_m) @ frame.T_level_lidar
         trial = Location(found.status)
         self._finish(trial, frame, T, np.full((6, 6), np.nan), Evidence(True, found.n_objects, plane_margin=margin), "points")
         if trial.status == "ok" or not trial.overlap <= found.overlap:
@@ -239,6 +230,23 @@ class _LevelFrame:
         range_2 = self._points[:, 0] ** 2 + self._points[:, 1] ** 2
         near = (range_2 < range_m**2) & (range_2 > _OWN_M**2) & (np.abs(self._points[:, 2]) < range_m)
         return self._points[near].astype(np.float64)
+
+
+def place_start(reference: Reference, xy: np.ndarray, yaw_rad: float, sensor_height_m: float) -> np.ndarray:
+    """T_origin_start (4, 4): on the map's road at a position, tilted as the road is, at the height of the sensor above it.
+
+    Args:
+        reference: the map.
+        xy: (>=2,) relative to its origin.
+        yaw_rad: heading.
+        sensor_height_m: of the sensor above the road.
+    """
+    plane = reference.plane_at(xy)
+    normal = np.array([-plane[0], -plane[1], 1.0]) / np.sqrt(plane[0] ** 2 + plane[1] ** 2 + 1)
+    T = np.eye(4)
+    T[:3, :3] = _tilt(normal) @ transform(rpy_rad=(0, 0, yaw_rad))[:3, :3]
+    T[:3, 3] = np.array([*xy, plane[2]]) + normal * sensor_height_m
+    return T
 
 
 def level_of(ground: FrameGround) -> np.ndarray:

@@ -5,7 +5,7 @@ Source: Nagy (2020), 3.3.2.2 (N-110, N-111): region growing on the 2-D cells, em
 ASSUME: a blob is described up to a height that a sensor on a car sees at every distance; landmarks are cut at the same height. Uncut,
 the crown of a tree would join the blobs below it, and the top of a post would be wherever the sensor's view ends.
 
-ASSUME: regions do not grow through cells that hold nothing but low points: kerbs, grass and edges of sidewalks would join what stands there.
+ASSUME: regions do not grow through cells that hold nothing but low points: kerbs and grass would join what stands on them.
 """
 
 from dataclasses import dataclass

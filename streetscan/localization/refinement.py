@@ -77,6 +77,11 @@ class Refiner:
         self._reference, self._settings = reference, settings
         self._centre = None
 
+    @property
+    def range_m(self) -> float:
+        """Farther points of a frame are left out."""
+        return self._settings.range_m
+
     def move_to(self, xy: np.ndarray) -> None:
         """Prepare the map around a position (>=2,) relative to the reference's origin; quick when it is prepared already."""
         if self._centre is not None and np.hypot(*(self._centre - xy[:2])) < _CUT_M / 2:

@@ -1,7 +1,7 @@
 """The transform between two sets of objects by voting over dx, dy, dz and a turn about the vertical.
 
-Source: Nagy (2020), 3.3.3.2 and 3.3.3.3 (N-114..N-120): a tall column goes with blobs at least twice as high as wide and deep, furniture with
-blobs of 0.75 to 1.25 times its volume; every pair of counterparts votes, for every turn, for the shift that unites them.
+Source: Nagy (2020), 3.3.3.2 and 3.3.3.3 (N-114..N-120): a tall column goes with blobs at least twice as high as wide and deep,
+furniture with blobs of 0.75 to 1.25 times its volume; every pair of counterparts votes, for every turn, for the shift that unites them.
 
 The thesis' array of all shifts and turns has 111 million cells in its own window. Turns do not share votes, so one turn at a time is
 voted on in an array of shifts alone, and only its best cells are kept: 0.6 MiB instead of 424.
@@ -249,7 +249,7 @@ def refine_peaks(
 ) -> list[Peak]:
     """Peaks at the place where most objects agree, best first; peaks that meet become one.
 
-    Each blob holds on to the compatible landmark that fits it best, and each keypoint pulls the less the farther it is off (Tukey's weight).
+    Each blob holds on to the landmark that fits it best, and each keypoint pulls the less the farther it is off (Tukey's weight).
 
     Args:
         peaks: of `vote`.
