@@ -5,7 +5,9 @@ pose that the motion predicts, and the whole window again once the track is lost
 also frees each frame of the vehicle's movement during the revolution.
 """
 
-from collections.abc import Iterable, Iterator
+import logging
+from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Protocol
 
@@ -19,6 +21,7 @@ from streetscan.localization.starts import Starts
 from streetscan.localization.voting import Window
 from streetscan.sweeps import deskew, velocity_between
 
+logger = logging.getLogger(__name__)
 MODES = ("gps", "even", "tracking", "none")
 
 
@@ -131,6 +134,12 @@ def localize_drive(
             location = localizer.locate(_freed_of_motion(index, frame, time_s, starts, track, s), start)
         track.add(time_s, location)
         yield FrameLocation(index, time_s, start, location)
+
+
+def log_verdicts(rows: Sequence[FrameLocation]) -> None:
+    """Say how many frames have which verdict."""
+    counts = Counter(row.location.status for row in rows)
+    logger.info("%d frames: %s", len(rows), ", ".join(f"{n} {status}" for status, n in counts.most_common()) or "none")
 
 
 def _start_of(index: int, time_s: float, starts: Starts, track: _Track, s: DriveSettings) -> Start | None:

@@ -9,6 +9,7 @@ import pandas as pd
 from streetscan.errors import BadInput
 from streetscan.geometry import quaternion_of_transform, transform_of_quaternion
 from streetscan.io.files import find_file
+from streetscan.io.trajectories import write_tum
 from streetscan.localization.drive import FrameLocation
 from streetscan.localization.localizer import Location, Start
 
@@ -66,6 +67,12 @@ def read_locations(path: str | Path) -> list[FrameLocation]:
         location.is_refined, location.covariance, location.seconds = bool(record["is_refined"]), covariance, seconds
         rows.append(FrameLocation(int(record["frame"]), float(record["time_s"]), Start(start[:2], float(start[2])), location))
     return rows
+
+
+def write_tum_of(path: str | Path, rows: Sequence[FrameLocation]) -> None:
+    """Write the believed poses as TUM (`time x y z qx qy qz qw`), T_map_lidar."""
+    believed = [row for row in rows if row.location.status == "ok"]
+    write_tum(path, np.array([r.time_s for r in believed]), np.array([r.location.T_map_lidar for r in believed]).reshape(-1, 4, 4))
 
 
 _BLOCKS = (

@@ -5,6 +5,7 @@ Source: Nagy (2020), 3.3.3 (N-102, N-113, N-115): GPS gives the position within 
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from scipy.stats import qmc
@@ -12,6 +13,8 @@ from scipy.stats import qmc
 from streetscan import geodesy
 from streetscan.errors import BadInput
 from streetscan.frames import GpsFix, Mounting
+from streetscan.io.mcap import GPS, TF, iterate_drive, iterate_lidar
+from streetscan.io.trajectories import read_poses_csv
 from streetscan.localization.voting import Window
 
 # ASSUME: a position is good for a start for so long after a fix; in it a car in a street moves the width of the search window.
@@ -37,6 +40,30 @@ class Starts:
     yaw_rad: np.ndarray
     speed_mps: np.ndarray
     turn_rate_radps: np.ndarray
+
+
+def read_starts(drive_path: str | Path, crs: str | None, where: object, truth_folder: str | Path | None, mode: str, seed: int) -> Starts:
+    """Starts of a drive's frames, as its localizer's mode wants them.
+
+    Args:
+        drive_path: drive.mcap.
+        crs, where: of the map, and the map, named in errors.
+        truth_folder: truth/ of the drive, for mode `even`.
+        mode: of `streetscan.localization.drive.MODES`.
+        seed: of the spread of mode `even`.
+    Raises:
+        BadInput: mode `even` without truth, or a drive with GPS and a map without a reference system.
+    """
+    times_s = np.array([frame.time_ns / 1e9 for frame in iterate_lidar(drive_path)])
+    records = list(iterate_drive(drive_path, (GPS, TF)))
+    fixes, mountings = ([r for r in records if isinstance(r, kind)] for kind in (GpsFix, Mounting))
+    starts = starts_of_fixes(fixes, times_s, crs, mountings, where)
+    if mode == "even":
+        if truth_folder is None:
+            raise BadInput("localizers.start", "even starts of a drive without true poses", "choose gps, tracking or none")
+        spread = even_starts(read_poses_csv(Path(truth_folder) / "poses.csv")[2], Window(), seed)
+        starts.xy_m, starts.yaw_rad = spread.xy_m, spread.yaw_rad
+    return starts
 
 
 def starts_of_fixes(
