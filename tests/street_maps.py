@@ -52,12 +52,13 @@ def sample_map(boxes: np.ndarray, labels: np.ndarray, noise_m: float = 0.01) -> 
 
 
 def make_street_reference(
-    shift: np.ndarray = UTM_SHIFT, is_raw: bool = False, crs: str | None = "EPSG:32632", keep: np.ndarray | None = None
+    shift: np.ndarray = UTM_SHIFT,
+    is_raw: bool = False,
+    crs: str | None = "EPSG:32632",
+    things: tuple[np.ndarray, np.ndarray] | None = None,
 ) -> Reference:
-    """The reference of the street, shifted; `keep` picks boxes."""
-    boxes, box_labels = street()
-    if keep is not None:
-        boxes, box_labels = boxes[keep], box_labels[keep]
+    """The reference of the street, or of other boxes and their classes, shifted."""
+    boxes, box_labels = things or street()
     points, labels = sample_map(boxes, box_labels)
     grid = voxelize([points + shift], 0.1)
     grid = add_heights(grid, cell_m=0.5, max_object_m=20.0, max_slope=0.15, step_m=0.2, min_patch_m2=4.0)

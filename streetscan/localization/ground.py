@@ -4,8 +4,8 @@ Source: Nagy (2020), 3.3.2 and 3.3.2.1 (N-106..N-109): 30 m around the sensor, 0
 differ by less than 0.1 m, their mean heights, a median filter against flat car roofs, interpolation elsewhere, 0.1 m above it is no ground.
 
 ASSUME: a car roof fills more cells than a median of neighbours can outvote, and far away a wall is hit by a single ring, which makes its
-cells flat. So a coarse ground is followed outwards from the vehicle first, as a street may rise or fall, and candidates away
-from it are dropped before the median.
+cells flat. So a coarse ground, a plane around the vehicle and how the street departs from it, is followed outwards first, and
+candidates away from it are dropped before the median.
 """
 
 from dataclasses import dataclass
@@ -27,7 +27,7 @@ class GroundSettings:
         cell_m: edge of a cell (thesis: 0.2).
         flat_m: a cell whose heights differ by less is a ground candidate (thesis: 0.1).
         above_m: a point this much above the ground is no ground (thesis: tau = 0.1).
-        max_slope: of the street along the way from the vehicle, rise over run.
+        max_slope: by which the street may depart from the plane around the vehicle, rise over run.
         max_deviation_m: a candidate farther from the coarse ground is none.
     """
 
@@ -49,6 +49,8 @@ class GroundSettings:
 
 # Edge of a patch of the coarse ground, in cells: 2 m hold several rings and no whole car.
 _PATCH_CELLS = 10
+# The road is looked for within this distance first.
+_ROAD_RANGE_M = 12.0
 # The plane under the vehicle is fitted to the ground within this distance.
 _PLANE_RANGE_M = 15.0
 # Fewer ground cells do not make a plane.
@@ -104,13 +106,14 @@ def find_ground(points: np.ndarray, settings: GroundSettings = GroundSettings())
     n_side = 2 * int(np.ceil(s.range_m / s.cell_m))
     rows, cells, counts, low, high, total = _collect(points, s.min_range_m, s.range_m, s.cell_m, n_side)
     near = points[rows]
-    road_z = _road_height(counts, low, high, total, s.flat_m, n_side, s.cell_m)
-    if not np.isfinite(road_z):
+    road = _road_plane(counts, low, high, total, s.flat_m, n_side, s.cell_m)
+    if not np.isfinite(road).all():
         nothing = np.zeros((n_side, n_side), np.float32)
         heights = np.full(len(near), np.nan, np.float32)
         return FrameGround(near, rows, cells, heights, n_side, nothing, nothing > 0, np.full(3, np.nan), 0)
-    rise = follow_ground(counts, low, n_side, _PATCH_CELLS, 1, s.max_slope, s.cell_m, road_z)
-    elevation, is_ground = _elevate(counts, low, high, total, rise, road_z, n_side, s.flat_m, s.max_deviation_m)
+    over_road = _subtract_plane(low, road, n_side, s.cell_m)
+    rise = follow_ground(counts, over_road, n_side, _PATCH_CELLS, 1, s.max_slope, s.cell_m, road[2])
+    elevation, is_ground = _elevate(counts, low, high, total, rise, road, n_side, s.cell_m, s.flat_m, s.max_deviation_m)
     plane, n_plane = _fit_plane(elevation, is_ground, n_side, s.cell_m)
     heights = near[:, 2] - elevation[cells]
     shape = (n_side, n_side)
@@ -140,30 +143,66 @@ def _collect(points, min_range, max_range, cell_m, n_side):
 
 
 @njit(cache=True, nogil=True)
-def _road_height(counts, low, high, total, flat_m, n_side, cell_m):
-    """Height of the road beside the vehicle: the low end of the flat cells around it; NaN without any."""
-    # ASSUME: within 10 m a tenth of the flat cells is road or sidewalk, whatever is parked there.
-    reach = int(10.0 / cell_m)
-    middle = n_side // 2
-    heights = np.empty(4 * reach * reach, np.float32)
-    n = 0
-    for i in range(max(middle - reach, 0), min(middle + reach, n_side)):
-        for j in range(max(middle - reach, 0), min(middle + reach, n_side)):
-            cell = i * n_side + j
-            if counts[cell] >= 2 and high[cell] - low[cell] < flat_m:
-                heights[n] = total[cell] / counts[cell]
-                n += 1
-    if n < 20:
-        return np.nan
-    ordered = np.sort(heights[:n])
-    tenth = ordered[n // 10]
-    # The road is the median of what lies near the low end; single deep echoes do not pull it down.
-    low_end = ordered[(ordered > tenth - 0.2) & (ordered < tenth + 0.3)]
-    return float(np.median(low_end))
+def _road_plane(counts, low, high, total, flat_m, n_side, cell_m):
+    """Plane (3,) z = a x + b y + c of the road around the vehicle, from the low end of the flat cells of each patch; NaN without any."""
+    n = int(2 * _ROAD_RANGE_M / cell_m / _PATCH_CELLS)
+    first = n_side // 2 - n * _PATCH_CELLS // 2
+    x, y, z = np.empty(n * n), np.empty(n * n), np.empty(n * n)
+    heights = np.empty(_PATCH_CELLS * _PATCH_CELLS, np.float32)
+    n_patches, n_flat = 0, 0
+    for p in range(n):
+        for q in range(n):
+            k = 0
+            for i in range(max(first + p * _PATCH_CELLS, 0), min(first + (p + 1) * _PATCH_CELLS, n_side)):
+                for j in range(max(first + q * _PATCH_CELLS, 0), min(first + (q + 1) * _PATCH_CELLS, n_side)):
+                    cell = i * n_side + j
+                    if counts[cell] >= 2 and high[cell] - low[cell] < flat_m:
+                        heights[k] = total[cell] / counts[cell]
+                        k += 1
+            n_flat += k
+            if k >= 3:
+                x[n_patches] = (first + (p + 0.5) * _PATCH_CELLS - n_side / 2) * cell_m
+                y[n_patches] = (first + (q + 0.5) * _PATCH_CELLS - n_side / 2) * cell_m
+                z[n_patches] = np.sort(heights[:k])[k // 4]
+                n_patches += 1
+    plane = np.full(3, np.nan)
+    if n_patches < 3 or n_flat < 20:
+        return plane
+    # ASSUME: the road is the lowest large thing around. Patches above the plane lose their weight from fit to fit (cars, beds), as do
+    # those far below it (false echoes).
+    weights = np.ones(n_patches)
+    for iteration in range(10):
+        normal, right = 1e-9 * np.eye(3), np.zeros(3)
+        for k in range(n_patches):
+            row = np.array([x[k], y[k], 1.0])
+            for a in range(3):
+                right[a] += weights[k] * row[a] * z[k]
+                for b in range(3):
+                    normal[a, b] += weights[k] * row[a] * row[b]
+        # A road is no wall: the slope is held back, a little when there are many patches and wholly when there are none.
+        normal[0, 0] += 20.0
+        normal[1, 1] += 20.0
+        plane = np.linalg.solve(normal, right)
+        scale = 0.4 if iteration < 3 else 0.12
+        for k in range(n_patches):
+            above = z[k] - plane[0] * x[k] - plane[1] * y[k] - plane[2]
+            weights[k] = 1 / (1 + (above / scale) ** 2) if above > 0 else 1 / (1 + (above / (3 * scale)) ** 4)
+    return plane
 
 
 @njit(cache=True, nogil=True)
-def _elevate(counts, low, high, total, rise, road_z, n_side, flat_m, max_deviation):
+def _subtract_plane(low, plane, n_side, cell_m):
+    """Lowest heights over the plane's slope: what `follow_ground` has to follow is only how the street departs from it."""
+    left = np.empty_like(low)
+    for i in range(n_side):
+        for j in range(n_side):
+            slope = plane[0] * (i + 0.5 - n_side / 2) * cell_m + plane[1] * (j + 0.5 - n_side / 2) * cell_m
+            left[i * n_side + j] = low[i * n_side + j] - slope
+    return left
+
+
+@njit(cache=True, nogil=True)
+def _elevate(counts, low, high, total, rise, road, n_side, cell_m, flat_m, max_deviation):
     """Height of the ground per cell, and where it was measured."""
     n_cells = n_side * n_side
     n_patches = rise.shape[0]
@@ -171,7 +210,9 @@ def _elevate(counts, low, high, total, rise, road_z, n_side, flat_m, max_deviati
     for cell in range(n_cells):
         if counts[cell] > 0 and high[cell] - low[cell] < flat_m:
             level = total[cell] / counts[cell]
-            expected = road_z + rise[(cell // n_side) // _PATCH_CELLS, (cell % n_side) // _PATCH_CELLS]
+            i, j = cell // n_side, cell % n_side
+            expected = road[2] + rise[i // _PATCH_CELLS, j // _PATCH_CELLS]
+            expected += road[0] * (i + 0.5 - n_side / 2) * cell_m + road[1] * (j + 0.5 - n_side / 2) * cell_m
             if abs(level - expected) < max_deviation:
                 mean[cell], is_ground[cell] = level, True
     # Median over the candidates among 5 x 5 cells.
@@ -201,7 +242,11 @@ def _elevate(counts, low, high, total, rise, road_z, n_side, flat_m, max_deviati
     level = np.empty((n_patches, n_patches))
     for p in range(n_patches):
         for q in range(n_patches):
-            level[p, q] = patch_sum[p, q] / patch_number[p, q] if patch_number[p, q] > 0 else road_z + rise[p, q]
+            if patch_number[p, q] > 0:
+                level[p, q] = patch_sum[p, q] / patch_number[p, q]
+            else:
+                x, y = ((p + 0.5) * _PATCH_CELLS - n_side / 2) * cell_m, ((q + 0.5) * _PATCH_CELLS - n_side / 2) * cell_m
+                level[p, q] = road[2] + rise[p, q] + road[0] * x + road[1] * y
     for i in range(n_side):
         for j in range(n_side):
             cell = i * n_side + j

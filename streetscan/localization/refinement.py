@@ -1,7 +1,8 @@
 """From the pose of the vote to the pose of the points: generalised ICP against what stands still on the map.
 
 Beyond the thesis, which stops at the vote (N-103). ICP always finds some minimum, so its pose is taken only when a measure it did not
-minimise gets better: the share of the frame that lies on occupied cubes of the map.
+minimise gets better: how well the frame lies on the normal distributions of the map, in which a point far from all surfaces
+counts nothing instead of much.
 """
 
 from dataclasses import dataclass
@@ -12,7 +13,7 @@ import small_gicp
 from streetscan.geometry import rotation_angle
 from streetscan.localization.recovery import make_plane_map
 from streetscan.localization.reference import OccupancyGrid, Reference
-from streetscan.registration.ndt import thin_points
+from streetscan.registration.ndt import NdtSettings, build_fields, fit, thin_points
 
 
 @dataclass(frozen=True)
@@ -44,19 +45,21 @@ class Refined:
     Attributes:
         T_map_lidar: (4, 4) the refined pose, or the given one when that was no worse.
         is_accepted: whether it is the refined one.
-        overlap_before, overlap: of the given and of the returned pose, 0 to 1.
+        score_before, score: of the given and of the returned pose, 0 to 1.
         covariance: (6, 6) x y z roll pitch yaw (m, rad) of the refined pose; NaN when it was not accepted.
     """
 
     T_map_lidar: np.ndarray
     is_accepted: bool
-    overlap_before: float
-    overlap: float
+    score_before: float
+    score: float
     covariance: np.ndarray
 
 
 # The map is prepared this far around a position, and anew when the vehicle has moved by half of it: a street of kilometres fits.
 _CUT_M = 200.0
+# Only looked up, never searched: no step is taken.
+_SCORE = NdtSettings(sizes_m=(0.8,), n_neighbours=1, max_iterations=0)
 # Fewer points do not fix a pose.
 _MIN_POINTS = 50
 # ASSUME: neighbouring points share their errors, so each Hessian counts this many times too much; and map and frame are true to 2 cm and
@@ -91,6 +94,7 @@ class Refiner:
         points = self._reference.cut(xy, _CUT_M)
         self.plane_map = make_plane_map(points, points[:, 2] - self._reference.ground_at(points))
         self.fine, self.coarse = OccupancyGrid(points, s.cube_m), OccupancyGrid(points, s.coarse_cube_m)
+        self._fields = build_fields(points, _SCORE)
         self._target = self._tree = None
         if len(points) >= _MIN_POINTS:
             self._target, self._tree = small_gicp.preprocess_points(points, self._reference.static_m, num_neighbors=10, num_threads=1)
@@ -105,7 +109,7 @@ class Refiner:
         self.move_to(T[:3, 3])
         nothing = np.full((6, 6), np.nan)
         thinned = thin_points(points, s.thin_m)
-        before = self.fine.overlap(thinned, T)
+        before = self._score(thinned, T)
         if len(thinned) < _MIN_POINTS or self._target is None:
             return Refined(T, False, before, before, nothing)
         source, _ = small_gicp.preprocess_points(thinned, s.thin_m, num_neighbors=10, num_threads=1)
@@ -115,12 +119,16 @@ class Refiner:
         T_refined = np.array(result.T_target_source)
         u, _, vt = np.linalg.svd(T_refined[:3, :3])
         T_refined[:3, :3] = u @ vt
-        after = self.fine.overlap(thinned, T_refined)
+        after = self._score(thinned, T_refined)
         change = np.linalg.inv(T) @ T_refined
         is_near = np.linalg.norm(change[:3, 3]) <= s.max_shift_m and rotation_angle(change) <= np.radians(s.max_turn_deg)
         if not (is_near and after > before):
             return Refined(T, False, before, before, nothing)
         return Refined(T_refined, True, before, after, covariance_of(result.H, T_refined))
+
+    def _score(self, points: np.ndarray, T: np.ndarray) -> float:
+        """Mean height of the map's distributions at the points."""
+        return fit(self._fields, points, T, _SCORE).score
 
 
 def covariance_of(hessian: np.ndarray, T: np.ndarray) -> np.ndarray:
