@@ -79,7 +79,7 @@ def evaluate_drive(
         floor = (np.nan, np.nan)
         if with_floor and np.isfinite(T).all() and len(points):
             near = points[(points[:, :2] ** 2).sum(axis=1) < refiner.range_m**2]
-            floor = pose_error(_moved(refiner.refine(near, _moved(T, -reference.origin)).T_map_lidar, reference.origin), T)
+            floor = pose_error(_moved(refiner.refine(near, _moved(T, -reference.origin), is_gated=False).T_map_lidar, reference.origin), T)
         keypoint_m, n_objects, n_good = match_objects(points, found.T_map_lidar, T, reference, settings)
         share = phantoms.share_at(T[:2, 3]) if phantoms is not None and np.isfinite(T).all() else np.nan
         table.append(

@@ -99,11 +99,12 @@ class Refiner:
         if len(points) >= _MIN_POINTS:
             self._target, self._tree = small_gicp.preprocess_points(points, self._reference.static_m, num_neighbors=10, num_threads=1)
 
-    def refine(self, points: np.ndarray, T: np.ndarray) -> Refined:
+    def refine(self, points: np.ndarray, T: np.ndarray, is_gated: bool = True) -> Refined:
         """
         Args:
             points: (N, 3) float64, metres, frame `lidar`, freed of motion, without NaN.
             T: (4, 4) T_origin_lidar, relative to the reference's origin.
+            is_gated: False takes the refined pose, better or not.
         """
         s = self._settings
         self.move_to(T[:3, 3])
@@ -122,7 +123,7 @@ class Refiner:
         after = self._score(thinned, T_refined)
         change = np.linalg.inv(T) @ T_refined
         is_near = np.linalg.norm(change[:3, 3]) <= s.max_shift_m and rotation_angle(change) <= np.radians(s.max_turn_deg)
-        if not (is_near and after > before):
+        if is_gated and not (is_near and after > before):
             return Refined(T, False, before, before, nothing)
         return Refined(T_refined, True, before, after, covariance_of(result.H, T_refined))
 

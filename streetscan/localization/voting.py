@@ -4,7 +4,9 @@ Source: Nagy (2020), 3.3.3.2 and 3.3.3.3 (N-114..N-120): a tall column goes with
 furniture with blobs of 0.75 to 1.25 times its volume; every pair of counterparts votes, for every turn, for the shift that unites them.
 
 The thesis' array of all shifts and turns has 111 million cells in its own window. Turns do not share votes, so one turn at a time is
-voted on in an array of shifts alone, and only its best cells are kept: 0.6 MiB instead of 424.
+voted on in an array of shifts alone, and only its best cells are kept: 0.6 MiB instead of 424. Every third turn is voted on first, which
+the cells beside a peak make up for, and all turns near the best of them afterwards; and a pair votes only for turns that can bring
+its objects together within the window.
 
 Beyond the thesis: a cell is judged together with its neighbours, several peaks are kept, and each is moved to the place where most
 objects agree (`consensus`), which is finer than a cell and tells how much better the best peak is than the next.
@@ -143,8 +145,17 @@ def vote(
     own, theirs = observed.keypoints(n_keypoints), landmarks.keypoints(n_keypoints)
     n_x, n_y, n_z = window.shape
     turns = window.turns_rad
-    slice_, cells = np.zeros(n_x * n_y * n_z, np.uint16), np.empty(len(pairs) * own.shape[1] * own.shape[2], np.int64)
-    best = _vote(own, observed.yaws_rad, theirs, landmarks.yaws_rad, pairs, turns, n_x, n_y, n_z, window.step_m, slice_, cells)
+    votes = np.zeros(n_x * n_y * n_z, np.uint16)
+    cells = np.empty(len(pairs) * own.shape[1] * own.shape[2], np.int64)
+    reaches = _reaches(observed, landmarks, pairs, window.shift_m * np.sqrt(2))
+    rest = observed.yaws_rad, theirs, landmarks.yaws_rad, pairs, reaches, turns
+    stride = max(int(_COARSE_RAD / (turns[1] - turns[0]) + 1e-6), 1) if len(turns) > 1 else 1
+    chosen = np.arange(0, len(turns), stride)
+    best = _vote(own, *rest, chosen, n_x, n_y, n_z, window.step_m, votes, cells)
+    if stride > 1:
+        leading = best[np.argsort(-best[:, 0], kind="stable")[:_N_LEADING], 4]
+        chosen = np.unique(np.clip(leading[:, None] + np.arange(1 - stride, stride), 0, len(turns) - 1))
+        best = _vote(own, *rest, chosen, n_x, n_y, n_z, window.step_m, votes, cells)
     order = np.argsort(-best[:, 0], kind="stable")
     peaks: list[Peak] = []
     for row in order:
@@ -157,6 +168,23 @@ def vote(
     return peaks
 
 
+def _reaches(observed: ObjectSet, landmarks: ObjectSet, pairs: np.ndarray, shift_m: float) -> np.ndarray:
+    """(P, 2) middle and half width of the turns that can bring the two objects of a pair within a shift, radians; pi is every turn."""
+    own, theirs = (o.corners.mean(axis=(1, 2))[pairs[:, i], :2] for i, o in enumerate((observed, landmarks)))
+    sizes = (np.hypot(*o.sizes_m[pairs[:, i], :2].T) for i, o in enumerate((observed, landmarks)))
+    limit = shift_m + sum(sizes)
+    a, b = np.hypot(*own.T), np.hypot(*theirs.T)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        cosine = (a * a + b * b - limit * limit) / (2 * a * b)
+    half = np.where(cosine < 1, np.arccos(np.clip(np.nan_to_num(cosine, nan=-1.0), -1, 1)), -1.0)
+    middle = np.arctan2(theirs[:, 1], theirs[:, 0]) - np.arctan2(own[:, 1], own[:, 0])
+    return np.stack([middle, half], axis=1)
+
+
+# Turns about so many of the best cells are voted on again.
+_N_LEADING = 8
+# Step of the turns that are voted on first: at 30 m half of it is a cell.
+_COARSE_RAD = np.radians(0.75)
 _APART_M, _APART_RAD = 1.0, np.radians(3.0)
 
 
@@ -170,13 +198,13 @@ _PER_TURN = 4
 
 
 @njit(cache=True, nogil=True)
-def _vote(own, own_yaws, theirs, their_yaws, pairs, turns, n_x, n_y, n_z, step, votes, cells):
+def _vote(own, own_yaws, theirs, their_yaws, pairs, reaches, turns, chosen, n_x, n_y, n_z, step, votes, cells):
     """Per turn the best cells: votes with neighbours, x, y, z, turn; the arrays are scratch, given and left empty."""
     n_layers, n_columns = own.shape[1], own.shape[2]
-    best = np.zeros((len(turns) * _PER_TURN, 5), np.int64)
+    best = np.zeros((len(chosen) * _PER_TURN, 5), np.int64)
     turned = np.empty_like(own)
     half_x, half_y, half_z = n_x // 2 + 0.5, n_y // 2 + 0.5, n_z // 2 + 0.5
-    for t in range(len(turns)):
+    for at, t in enumerate(chosen):
         c, s = np.cos(turns[t]), np.sin(turns[t])
         for m in range(own.shape[0]):
             for layer in range(n_layers):
@@ -186,6 +214,9 @@ def _vote(own, own_yaws, theirs, their_yaws, pairs, turns, n_x, n_y, n_z, step, 
                     turned[m, layer, q, 2] = own[m, layer, q, 2]
         n, highest = 0, 0
         for p in range(len(pairs)):
+            off = abs(turns[t] - reaches[p, 0]) % (2 * np.pi)
+            if min(off, 2 * np.pi - off) > reaches[p, 1]:
+                continue
             o, m = pairs[p, 0], pairs[p, 1]
             # How many quarter turns bring the boxes into line: the column of the counterpart moves by as many.
             quarter = int(np.rint((own_yaws[o] + turns[t] - their_yaws[m]) / (np.pi / 2))) if n_columns == 4 else 0
@@ -204,8 +235,8 @@ def _vote(own, own_yaws, theirs, their_yaws, pairs, turns, n_x, n_y, n_z, step, 
                     cells[n] = cell
                     n += 1
         # Only cells nearly as high as the highest can be the best with their neighbours.
-        least = max(highest // 2, 1)
-        kept = best[t * _PER_TURN : (t + 1) * _PER_TURN]
+        least = max(2 * highest // 3, 1)
+        kept = best[at * _PER_TURN : (at + 1) * _PER_TURN]
         for i in range(n):
             cell = cells[i]
             if votes[cell] < least:
@@ -240,6 +271,8 @@ def _keep(kept, total, x, y, z, t):
     kept[at, 0], kept[at, 1], kept[at, 2], kept[at, 3], kept[at, 4] = total, x, y, z, t
 
 
+# Boxes with their middles farther apart have no corner in common; of blobs up to 8 m long, seen in part.
+_NEAR_M = 5.0
 # A pair agrees from this mean weight of its keypoints on.
 _MIN_WEIGHT = 0.15
 
@@ -277,6 +310,7 @@ def _refine(own, own_yaws, theirs, their_yaws, pairs, dx, dy, dz, turn, reach):
     n_keypoints = n_layers * n_columns
     n_objects = own.shape[0]
     best_pair, best_weight = np.full(n_objects, -1, np.int64), np.zeros(n_objects)
+    pairs = _pairs_near(own, theirs, pairs, dx, dy, turn)
     covariance = np.full((4, 4), np.nan)
     for iteration in range(12):
         # The reach shrinks: at first the cell's own width counts, at the end what fits.
@@ -360,6 +394,25 @@ def _refine(own, own_yaws, theirs, their_yaws, pairs, dx, dy, dz, turn, reach):
     if n >= 3:
         covariance = _covariance(own, own_yaws, theirs, their_yaws, agreeing[:n], dx, dy, dz, turn, reach)
     return np.array([dx, dy, dz, turn]), consensus, agreeing[:n].copy(), covariance
+
+
+@njit(cache=True, nogil=True)
+def _pairs_near(own, theirs, pairs, dx, dy, turn):
+    """The pairs whose boxes come near each other under a transform."""
+    c, s, n = np.cos(turn), np.sin(turn), 0
+    near = np.empty_like(pairs)
+    last_layer, last_column = own.shape[1] - 1, own.shape[2] - 1
+    for p in range(len(pairs)):
+        o, m = pairs[p, 0], pairs[p, 1]
+        # The mean of two opposite corners is the middle of the box; a missing keypoint (NaN) keeps the pair.
+        ox = (own[o, 0, 0, 0] + own[o, last_layer, last_column // 2 + last_column % 2, 0]) / 2
+        oy = (own[o, 0, 0, 1] + own[o, last_layer, last_column // 2 + last_column % 2, 1]) / 2
+        lx = (theirs[m, 0, 0, 0] + theirs[m, last_layer, last_column // 2 + last_column % 2, 0]) / 2
+        ly = (theirs[m, 0, 0, 1] + theirs[m, last_layer, last_column // 2 + last_column % 2, 1]) / 2
+        if not (lx - (c * ox - s * oy) - dx) ** 2 + (ly - (s * ox + c * oy) - dy) ** 2 > _NEAR_M * _NEAR_M:
+            near[n] = pairs[p]
+            n += 1
+    return near[:n].copy()
 
 
 @njit(cache=True, nogil=True)
