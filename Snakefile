@@ -22,3 +22,4 @@ rule all:
         for_pairs("results/clean_map/{dataset}/{split}/{model}/static.laz", LABELLED),
         for_pairs("results/extract_objects/{dataset}/{split}/{model}/objects.gpkg", LABELLED),
         expand("results/inspect_drive/{drive}/sheet.html", drive=config["drives"]),
+        expand("results/evaluate_sensor/{drive}/scores.csv", drive=config["evaluate_sensor"]["drives"]),

@@ -46,6 +46,29 @@ rule evaluate_views:
         "../scripts/evaluate_views.py"
 
 
+rule evaluate_sensor:
+    """The frames of a simulated drive beside those of a real sensor: returns per beam, distances, rings on the road."""
+    input:
+        code=library("evaluate_sensor"),
+        drive=drive_file("drive.mcap"),
+        reference=drive_file("drive.mcap", config["evaluate_sensor"]["reference"]),
+    output:
+        scores="results/evaluate_sensor/{drive}/scores.csv",
+        picture="results/evaluate_sensor/{drive}/comparison.png",
+    log:
+        "results/evaluate_sensor/{drive}/scores.log",
+    conda:
+        "../envs/streetscan.yaml"
+    resources:
+        mem_mb=1000,
+    params:
+        **{key: config["evaluate_sensor"][key] for key in ("min_range_m", "max_range_m")},
+        names=lambda w: [w.drive, config["evaluate_sensor"]["reference"]],
+        sensor_heights_m=lambda w: [lidar_height(d) for d in (w.drive, config["evaluate_sensor"]["reference"])],
+    script:
+        "../scripts/evaluate_sensor.py"
+
+
 rule tabulate_benchmarks:
     """The papers' tables with ours beside theirs, as CSV, Markdown and LaTeX, and one report of the run."""
     input:

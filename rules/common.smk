@@ -103,15 +103,33 @@ def step_of_drive(drive):
     return "simulate_drive" if drive_facts(drive)["reader"] == "simulate" else "import_drive"
 
 
-def drive_file(name):
-    """An input function: drive.mcap, frames.csv or truth of a drive, simulated or imported."""
-    return lambda wildcards: f"results/{step_of_drive(wildcards.drive)}/{wildcards.drive}/{name}"
+def drive_file(name, drive=None):
+    """An input function: drive.mcap, frames.csv or truth of a drive, simulated or imported; of the wildcard's by default."""
+
+    def path(wildcards):
+        chosen = drive or wildcards.drive
+        return f"results/{step_of_drive(chosen)}/{chosen}/{name}"
+
+    return path
+
+
+def lidar_height(drive):
+    """Height of a drive's lidar above the road in m, as its file gives it."""
+    heights = [m["xyz_m"][2] for m in drive_facts(drive).get("mounting", []) if (m["parent"], m["child"]) == ("vehicle", "lidar")]
+    if not heights:
+        raise WorkflowError(f"{DRIVES / drive}.yaml: no mounting of the lidar on the vehicle; add it to the drive's file.")
+    return heights[0]
 
 
 def street_of(wildcards):
     """The street a simulated drive goes through, as the map of its data set was made with."""
     simulation = drive_facts(wildcards.drive)["simulation"]
     known = facts(simulation["dataset"])
+    if known["source"] != "simulate" or simulation["split"] not in known["parts"]:
+        found = f"{simulation['dataset']}/{simulation['split']}"
+        raise WorkflowError(
+            f"{DRIVES / wildcards.drive}.yaml: {found} is no simulated street; name a data set of source simulate and its part."
+        )
     return known["simulation"]["street"] | {"length_m": known["parts"][simulation["split"]]["length_m"], "crs": known["crs"]}
 
 

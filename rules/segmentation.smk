@@ -45,7 +45,6 @@ rule extract_samples:
         mem_mb=2000,
     params:
         n_per_class=lambda w: config["extract_samples"][f"n_per_class_{w.split}"],
-        n_turns=lambda w: config["extract_samples"][f"n_turns_{w.split}"],
         expected=lambda w: classes_of(w.dataset) if w.split == "train" else [],
         seed=config["seed"],
     script:

@@ -10,21 +10,19 @@ from streetscan.segmentation.samples import draw_samples
 from streetscan.voxels import VoxelGrid
 
 
-def main(
-    voxels_path: str, labels_path: str, samples_path: str, n_per_class: int, n_turns: int, seed: int, expected: Sequence[str] = ()
-) -> None:
+def main(voxels_path: str, labels_path: str, samples_path: str, n_per_class: int, seed: int, expected: Sequence[str] = ()) -> None:
     """
     Args:
         voxels_path: voxel grid.
         labels_path: its labels, `.npy`.
-        samples_path: the samples to write, `.npz` with keys, labels and turns.
-        n_per_class, n_turns, expected: see `streetscan.segmentation.samples.draw_samples`.
+        samples_path: the samples to write, `.npz` with keys and labels.
+        n_per_class, expected: see `streetscan.segmentation.samples.draw_samples`.
         seed: of the draw.
     """
     grid = VoxelGrid.load(voxels_path)
     voxel_labels = load_npy(labels_path, "label_voxels", len(grid))
-    rows, labels, turns = draw_samples(voxel_labels, n_per_class, n_turns, np.random.default_rng(seed), expected)
-    save_npz(samples_path, keys=grid.keys[rows], labels=labels, turns=turns)
+    rows, labels = draw_samples(voxel_labels, n_per_class, np.random.default_rng(seed), expected)
+    save_npz(samples_path, keys=grid.keys[rows], labels=labels)
 
 
 if __name__ == "__main__":

@@ -5,6 +5,7 @@ Truth stays apart: the drive's MCAP holds neither labels, nor true poses, nor th
 
 import csv
 import logging
+import os
 from bisect import bisect_left
 from collections import Counter
 from collections.abc import Iterator
@@ -19,11 +20,11 @@ import yaml
 
 from streetscan import geodesy, geometry
 from streetscan.errors import BadInput
-from streetscan.frames import STATUSES, CameraImage, CameraModel, GpsFix, LidarFrame, Mounting, nanoseconds
+from streetscan.frames import STATUSES, CameraImage, CameraModel, GpsFix, LidarFrame, Mounting, camera_model, nanoseconds
 from streetscan.io import folders, kitti, range_images, trajectories
 from streetscan.io.arrays import save_npy
 from streetscan.io.atomic import atomic_folder, atomic_path
-from streetscan.io.files import read_yaml
+from streetscan.io.files import check_readable, read_yaml
 from streetscan.io.images import image_size
 from streetscan.io.mcap import open_drive_writer
 from streetscan.io.pcap import PacketDecoder, iterate_pcap
@@ -133,11 +134,21 @@ def read_drive_facts(path: str | Path, schema_path: str | Path) -> DriveFacts:
     if error is not None:
         key = ".".join(str(p) for p in error.absolute_path) or "the file"
         raise BadInput(path, f"{key}: {error.message}", "correct the key; config/drive.schema.yaml describes each")
+    if keys := _keys_not_finite(raw):
+        raise BadInput(path, f"{keys[0]} is no finite number", "write a number")
     sections = {"lidar": LidarFacts, "camera": CameraFacts, "gps": GpsFacts, "truth": TruthFacts}
     values = {k: sections[k](**v) if k in sections else tuple(v) if isinstance(v, list) else v for k, v in raw.items()}
     facts = DriveFacts(**values, where=str(path))
     _check_keys(facts)
     return facts
+
+
+def _keys_not_finite(values: Any, key: str = "") -> list[str]:
+    """The keys below `key` that hold NaN or infinity, which are numbers to a schema."""
+    if isinstance(values, float) and not np.isfinite(values):
+        return [key]
+    items = values.items() if isinstance(values, dict) else enumerate(values) if isinstance(values, list) else ()
+    return [k for name, value in items for k in _keys_not_finite(value, f"{key}.{name}" if key else str(name))]
 
 
 def _check_keys(facts: DriveFacts) -> None:
@@ -163,6 +174,11 @@ def _check_keys(facts: DriveFacts) -> None:
         raise BadInput(facts.where, "only one of lidar.times_start and lidar.times_end", "write both or none")
     if facts.lidar.times_start is not None and (facts.lidar.times is None or facts.lidar.stamp != "forward"):
         raise BadInput(facts.where, "lidar.times_start and times_end", "write lidar.times, the times of facing forward, and stamp: forward")
+    if facts.camera is not None and facts.camera.info_topic is not None:
+        if not is_topic:
+            raise BadInput(facts.where, "camera.info_topic", f"remove it: reader '{facts.reader}' has no topics")
+        if facts.camera.calibration is not None:
+            raise BadInput(facts.where, "both camera.info_topic and camera.calibration", "keep the one that is right")
     poses = facts.truth.poses or {}
     if poses.get("format") in ("kitti", "tum") and "file" not in poses:
         raise BadInput(facts.where, "truth.poses.file is missing", f"format '{poses['format']}' needs it")
@@ -185,8 +201,9 @@ class Recording:
         """
         self.facts = facts
         self.path = Path(data_root) / facts.root
-        if not self.path.exists():
+        if not os.path.exists(self.path):
             raise BadInput(self.path, "no such file or folder", "check root in the drive's file and data_root")
+        check_readable(self.path)
         if facts.reader == "folder" and not self.path.is_dir():
             raise BadInput(self.path, "is no folder", f"check root and reader in {facts.where}")
         self.root = self.path if self.path.is_dir() else self.path.parent
@@ -279,6 +296,10 @@ class Recording:
             raise BadInput(
                 self.root / lidar.times, f"lists of {len(middle)}, {len(start)} and {len(end)} times", "give lists of one recording"
             )
+        bad = np.flatnonzero(~((start <= middle) & (middle <= end)))
+        if len(bad):
+            found = f"row {bad[0]} of the three lists is not in the order start, forward, end"
+            raise BadInput(self.root / lidar.times, found, "check lidar.times_start and lidar.times_end")
         halves = {int(m): ((s - m) / _NS, (e - m) / _NS) for m, s, e in zip(middle, start, end, strict=True)}
         return halves.__getitem__
 
@@ -302,11 +323,9 @@ class Recording:
             size = calibration.get("width"), calibration.get("height")
             return kitti.read_camera(self.root / calibration["file"], calibration["camera"], *size)
         K = np.array(calibration["K"], np.float64).reshape(3, 3)
-        if not (K[0, 0] > 0 and K[1, 1] > 0 and K[2, 2] == 1):
-            raise BadInput(self.facts.where, "camera.calibration.K is no camera matrix", "write [fx, 0, cx, 0, fy, cy, 0, 0, 1]")
-        model = calibration.get("distortion_model", "plumb_bob")
-        D = np.array(calibration.get("D", []), np.float64)
-        return CameraModel(calibration["width"], calibration["height"], K, D, model, np.c_[K, np.zeros(3)]), np.eye(4)
+        name, D = calibration.get("distortion_model", "plumb_bob"), calibration.get("D", [])
+        size, where = (calibration["width"], calibration["height"]), f"{self.facts.where}, camera.calibration"
+        return camera_model(*size, K, D, name, np.c_[K, np.zeros(3)], where), np.eye(4)
 
     def _read_extrinsics(self) -> np.ndarray | None:
         truth = self.facts.truth.extrinsics
@@ -370,7 +389,8 @@ def import_drive(recording: Recording, name: str, mcap_path: str | Path, frames_
         mcap_path: drive.mcap.
         frames_path: frames.csv, one row per message of `/lidar`, in this order, with its status.
         truth_folder: gets poses.csv and poses.tum, labels/<frame>.npy and instances/<frame>.npy (uint32, the source's ids, in the order
-            of the points), as far as there is truth; and truth.yaml, with the extrinsics, which says what there is.
+            of the points), masks/<image>.npz (instances and labels of the pixels), as far as there is truth; and truth.yaml, with
+            the extrinsics, which says what there is.
     Returns:
         how many frames have each status.
     Raises:
@@ -378,15 +398,19 @@ def import_drive(recording: Recording, name: str, mcap_path: str | Path, frames_
     """
     table = _FrameTable(recording.facts)
     n_fixes, model = 0, recording.camera_model
-    with atomic_folder(truth_folder) as truth, open_drive_writer(mcap_path) as writer:
-        is_open = False
+    with atomic_folder(truth_folder) as truth, atomic_path(frames_path) as table_path, open_drive_writer(mcap_path) as writer:
+        # What stands still has no stamp of its own and takes that of the next record.
+        still: list[Mounting | CameraModel] = [*recording.mountings, *([] if model is None else [model])]
         for record in recording.records():
-            if not is_open:
-                for mounting in recording.mountings:
-                    writer.write_mounting(mounting, record.time_ns)
-                if recording.camera_model is not None:
-                    writer.write_calibration(recording.camera_model, record.time_ns)
-                is_open = True
+            if isinstance(record, CameraModel):
+                # Cameras repeat their intrinsics with every image.
+                if model is None or not record.equals(model):
+                    model = record
+                    still.append(model)
+                continue
+            for item in still:
+                (writer.write_calibration if isinstance(item, CameraModel) else writer.write_mounting)(item, record.time_ns)
+            still = []
             match record:
                 case LidarFrame():
                     table.add_frame(record, recording.true_pose(record) if recording.has_true_poses else None)
@@ -397,15 +421,15 @@ def import_drive(recording: Recording, name: str, mcap_path: str | Path, frames_
                 case CameraImage():
                     if record.status == "ok" and model is not None and model.width and image_size(record) != (model.width, model.height):
                         record.status = "other_size"
+                    if record.instances is not None:
+                        with atomic_path(truth / "masks" / f"{table.n_images:06d}.npz") as partial, partial.open("wb") as stream:
+                            np.savez_compressed(stream, instances=record.instances, labels=record.labels)
                     table.add_image(record)
                     if record.status == "ok":
                         writer.write_image(record)
                 case GpsFix():
                     n_fixes += 1
                     writer.write_fix(record)
-                case CameraModel():
-                    model = record
-                    writer.write_calibration(record, 0 if not table.n_frames else table.last_time_ns)
         table.mark_order()
         counts = table.counts
         if not counts["ok"] + counts["partial"]:
@@ -417,7 +441,7 @@ def import_drive(recording: Recording, name: str, mcap_path: str | Path, frames_
             {"drive": name, "description": facts.description, "source": facts.source, "n_frames": table.n_frames}
             | {f"n_{status}": n for status, n in counts.items()},
         )
-        table.write(frames_path)
+        table.write(table_path)
         _write_truth(recording, table, truth)
     _log_summary(recording, table, n_fixes)
     return counts
@@ -431,7 +455,6 @@ class _FrameTable:
         self.rows: list[list] = []
         self.poses: list[np.ndarray] = []
         self.counts: Counter = Counter()
-        self.last_time_ns = -(2**62)
         self.time_ns: list[int] = []
         self.n_unlabelled = 0
         self.image_ns: list[int] = []
@@ -441,8 +464,11 @@ class _FrameTable:
     def n_frames(self) -> int:
         return len(self.rows)
 
+    @property
+    def n_images(self) -> int:
+        return len(self.image_ns)
+
     def add_frame(self, frame: LidarFrame, pose: np.ndarray | None) -> None:
-        self.last_time_ns = max(self.last_time_ns, frame.time_ns)
         assert frame.status in STATUSES
         self.counts[frame.status] += 1
         offsets = frame.time_offset_s
@@ -467,7 +493,7 @@ class _FrameTable:
         self.image_status.append(image.status)
 
     def write(self, path: str | Path) -> None:
-        with atomic_path(path) as partial_path, partial_path.open("w", newline="") as stream:
+        with Path(path).open("w", newline="") as stream:
             writer = csv.writer(stream)
             writer.writerow(FRAME_COLUMNS)
             for row, image in zip(self.rows, self._images_of_frames(), strict=True):
@@ -492,8 +518,9 @@ class _FrameTable:
         ]
 
     @property
-    def n_frames_without_image(self) -> int:
-        return sum(status != "ok" for _, status in self._images_of_frames())
+    def images_lacking(self) -> Counter:
+        """How many frames have no image, by the reason."""
+        return Counter(status for _, status in self._images_of_frames() if status not in ("ok", "none"))
 
 
 def _in_order(times_ns: list[int]) -> list[bool]:
@@ -555,8 +582,9 @@ def _log_summary(recording: Recording, table: _FrameTable, n_fixes: int) -> None
         logger.warning("%d of %d frames hold points and have no true labels", table.n_unlabelled, table.n_frames)
     if n_other := table.image_status.count("other_size"):
         logger.warning("%d images are of another size than the camera's calibration and were left out", n_other)
-    if recording.facts.camera is not None and table.n_frames_without_image:
-        logger.warning("%d of %d frames have no image", table.n_frames_without_image, table.n_frames)
+    if lacking := table.images_lacking:
+        reasons = ", ".join(f"{n} {status}" for status, n in lacking.most_common())
+        logger.warning("%d of %d frames have no image (%s)", lacking.total(), table.n_frames, reasons)
     if not n_fixes:
         reason = "its poses are known in metres only" if recording.has_true_poses else "it holds no position"
         logger.info("no /gps: %s", reason)

@@ -3,9 +3,12 @@
 Times are whole nanoseconds since the Unix epoch (`time_ns`), because a float64 of seconds steps by 0.24 microseconds today.
 """
 
+import dataclasses
 from dataclasses import dataclass
 
 import numpy as np
+
+from streetscan.errors import BadInput
 
 # What can be the matter with a frame. The frame keeps its row whatever its status is.
 STATUSES = {
@@ -16,9 +19,11 @@ STATUSES = {
     "unreadable": "the record cannot be decoded",
     "missing": "the numbering or the list of times has the frame, no record exists",
     "time_backwards": "its stamp is out of the order of the other frames",
-    "labels_do_not_fit": "the number of true labels differs from the number of points",
+    "labels_do_not_fit": "its true labels are damaged, or not as many as its points",
 }
 
+# How many coefficients each distortion model may have, in the order OpenCV and Foxglove share.
+DISTORTIONS = {"plumb_bob": (0, 4, 5), "rational_polynomial": (0, 8, 12, 14), "kannala_brandt": (0, 4)}
 
 # ASSUME: a revolution that lacks more than 3 % of its azimuths is not complete; cuts between packets are 0.5 degrees apart.
 LEAST_COVERED = 0.97
@@ -77,7 +82,8 @@ class CameraImage:
     """One compressed image.
 
     `time_ns` is the middle of its exposure, `format` is `png` or `jpeg`, status `ok`, `missing`, `unreadable`, or `other_size`
-    than its calibration.
+    than its calibration. `instances` (H, W) uint32 and `labels` (H, W) uint8 are the true object and class of each pixel, or None;
+    they never go into the drive's file.
     """
 
     time_ns: int
@@ -85,6 +91,8 @@ class CameraImage:
     format: str
     status: str = "ok"
     source: str = ""
+    instances: np.ndarray | None = None
+    labels: np.ndarray | None = None
 
 
 @dataclass
@@ -119,6 +127,34 @@ class CameraModel:
     D: np.ndarray
     distortion_model: str
     P: np.ndarray
+
+    def equals(self, other: "CameraModel") -> bool:
+        """Whether two models are the same in every number."""
+        own, others = (dataclasses.astuple(model) for model in (self, other))
+        return all(np.array_equal(a, b) for a, b in zip(own, others, strict=True))
+
+
+def camera_model(width: int, height: int, K: np.ndarray, D: np.ndarray, name: str, P: np.ndarray, where: object) -> CameraModel:
+    """A model under the names we know; see CameraModel for the arguments.
+
+    Args:
+        name: the source's name of the distortion model; ROS calls `kannala_brandt` equidistant.
+        where: the record, named in errors.
+    Raises:
+        BadInput: no camera matrix, a distortion model that is none of DISTORTIONS, or another number of coefficients.
+    """
+    K, D, P = (np.asarray(matrix, np.float64) for matrix in (K, D, P))
+    if not (np.isfinite(K).all() and K[0, 0] > 0 and K[1, 1] > 0 and K[2, 2] == 1):
+        raise BadInput(where, f"K = {K.ravel().tolist()} is no camera matrix", "calibrate the camera: [fx, 0, cx, 0, fy, cy, 0, 0, 1]")
+    name = "kannala_brandt" if name == "equidistant" else name
+    if name not in DISTORTIONS and not D.any():
+        name, D = "plumb_bob", np.zeros(0)
+    if name not in DISTORTIONS:
+        raise BadInput(where, f"the distortion model '{name}'", f"calibrate the camera with one of {', '.join(DISTORTIONS)}")
+    if D.size not in DISTORTIONS[name] or not np.isfinite(D).all():
+        expected = " or ".join(str(n) for n in DISTORTIONS[name])
+        raise BadInput(where, f"D = {D.tolist()} for distortion model '{name}'", f"give {expected} finite coefficients")
+    return CameraModel(int(width), int(height), K, D, name, P)
 
 
 @dataclass

@@ -1,15 +1,16 @@
 """What an imported drive holds, in numbers: counts, gaps, rates, tracks; and lidar points in an image."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pandas as pd
 
-from streetscan import geometry
+from streetscan import geodesy, geometry
 from streetscan.errors import BadInput
 from streetscan.frames import CameraImage, CameraModel, GpsFix, LidarFrame, Mounting
+from streetscan.io.arrays import load_npy
 from streetscan.io.files import find_file, read_yaml
 from streetscan.io.mcap import iterate_drive
 from streetscan.io.trajectories import read_poses_csv
@@ -31,8 +32,11 @@ class Inspection:
         mountings: what the user gave.
         T_camera_lidar: true place of the camera, or None.
         labels_ids: whose label ids the truth has, or None.
+        crs: of the true poses, or None.
+        labels: true classes (N,) uint8 of the pictured frames, by their row, where the truth has ours.
+        changes: what became of each object of the street since the map's day (class, change, x_m, y_m), or None.
         pictured: a few whole lidar frames, evenly spread, by their row.
-        images: the image nearest to each of them, where there is one.
+        images: the image of each of them that has one.
     """
 
     frames: pd.DataFrame
@@ -44,6 +48,9 @@ class Inspection:
     labels_ids: str | None
     pictured: dict[int, LidarFrame]
     images: dict[int, CameraImage]
+    crs: str | None = None
+    labels: dict[int, np.ndarray] = field(default_factory=dict)
+    changes: pd.DataFrame | None = None
 
     @property
     def gaps(self) -> pd.DataFrame:
@@ -53,6 +60,26 @@ class Inspection:
         usual = float(np.median(steps)) if len(steps) else np.nan
         rows = np.flatnonzero(steps > _GAP_FACTOR * usual)
         return pd.DataFrame({"after": rows, "start_s": times[rows], "duration_s": steps[rows]})
+
+    @property
+    def fixes_in_map(self) -> np.ndarray | None:
+        """Easting and northing (n, 2) of the fixes in the map of the true poses, or None without a CRS."""
+        if self.crs is None or not len(self.fixes):
+            return None
+        return geodesy.project(self.fixes["latitude_deg"], self.fixes["longitude_deg"], self.crs)
+
+    @property
+    def gps_errors_m(self) -> np.ndarray | None:
+        """Distances of the fixes during the drive from where the lidar truly was (the antenna's place left aside), or None."""
+        fixes, frame_times = self.fixes_in_map, self.frames["time_s"].to_numpy(np.float64)
+        if fixes is None or self.poses is None:
+            return None
+        times = self.fixes["time_s"].to_numpy()
+        inside = (times >= frame_times.min()) & (times <= frame_times.max())
+        order = np.argsort(frame_times, kind="stable")
+        truth = np.stack([np.interp(times[inside], frame_times[order], self.poses[order, i, 3]) for i in (0, 1)], axis=1)
+        errors = np.linalg.norm(fixes[inside] - truth, axis=1)
+        return errors[np.isfinite(errors)]
 
     def numbers(self) -> dict[str, str]:
         """The numbers a reader wants first, as text with units."""
@@ -74,7 +101,8 @@ class Inspection:
         numbers["firing times"] = (
             "0: the source is de-skewed" if is_de_skewed else f"{offsets.iloc[0]:.4f} to {offsets.iloc[1]:.4f} s about forward (median)"
         )
-        numbers["images"] = _counts(frames["image_status"])
+        has_camera = (frames["image_status"] != "none").any()
+        numbers["images"] = _counts(frames["image_status"]) if has_camera else "none: there is no camera"
         numbers["fixes"] = str(len(self.fixes)) if len(self.fixes) else "none: there is no /gps"
         if len(self.fixes) > 1:
             numbers["GPS track"] = f"{path_length_m(fix_track_m(self.fixes)):.1f} m"
@@ -82,7 +110,11 @@ class Inspection:
             positions = self.poses[:, :3, 3]
             known = np.isfinite(positions).all(axis=1)
             numbers["true track"] = f"{path_length_m(positions[known]):.1f} m, {int(known.sum())} of {len(known)} poses known"
+        if (error_m := self.gps_errors_m) is not None and len(error_m):
+            numbers["GPS from the true track"] = f"{np.median(error_m):.1f} m, at most {error_m.max():.1f} m"
         numbers["true labels"] = self.labels_ids or "none"
+        if self.changes is not None:
+            numbers["objects since the map's day"] = _counts(self.changes["change"])
         for mounting in self.mountings:
             x, y, z = mounting.T_parent_child[:3, 3]
             roll, pitch, yaw = np.degrees(geometry.rpy_of_transform(mounting.T_parent_child))
@@ -110,6 +142,8 @@ def inspect_drive(mcap_path: str | Path, frames_path: str | Path, truth_folder: 
     rows = _pictured_rows(frames, n_pictured)
     pictured, images, fixes, mountings, model = {}, {}, [], [], None
     nearest_ns = dict.fromkeys(rows, 2**62)
+    # An image farther away than half a revolution shows another place.
+    rows_with_image = [row for row in rows if frames["image_status"].iloc[row] == "ok"]
     stamps = {row: round(frames["time_s"].iloc[row] * 1e9) for row in rows}
     row = 0
     for record in iterate_drive(mcap_path):
@@ -119,7 +153,8 @@ def inspect_drive(mcap_path: str | Path, frames_path: str | Path, truth_folder: 
                     pictured[row] = record
                 row += 1
             case CameraImage():
-                for wanted, stamp in stamps.items():
+                for wanted in rows_with_image:
+                    stamp = stamps[wanted]
                     if (gap := abs(record.time_ns - stamp)) < nearest_ns[wanted]:
                         nearest_ns[wanted], images[wanted] = gap, record
             case GpsFix():
@@ -133,6 +168,8 @@ def inspect_drive(mcap_path: str | Path, frames_path: str | Path, truth_folder: 
     truth = read_yaml(Path(truth_folder) / "truth.yaml") if truth_folder is not None else {}
     poses = read_poses_csv(Path(truth_folder) / "poses.csv")[2] if truth.get("poses") else None
     extrinsics = truth.get("extrinsics")
+    ids = (truth.get("labels") or {}).get("ids")
+    changes = None if truth_folder is None else Path(truth_folder) / "changes.csv"
     return Inspection(
         frames,
         pd.DataFrame(fixes, columns=["time_s", "latitude_deg", "longitude_deg", "altitude_m"]),
@@ -140,9 +177,14 @@ def inspect_drive(mcap_path: str | Path, frames_path: str | Path, truth_folder: 
         model,
         mountings,
         None if extrinsics is None else np.array(extrinsics["T_camera_lidar"]),
-        (truth.get("labels") or {}).get("ids"),
+        ids,
         pictured,
         images,
+        (truth.get("poses") or {}).get("crs"),
+        {row: load_npy(Path(truth_folder) / "labels" / f"{row:06d}.npy", "simulate_drive").astype(np.uint8) for row in pictured}
+        if ids == "streetscan"
+        else {},
+        pd.read_csv(changes) if changes is not None and changes.is_file() else None,
     )
 
 
@@ -194,11 +236,13 @@ def _read_frames(path: str | Path) -> pd.DataFrame:
 
 
 def _pictured_rows(frames: pd.DataFrame, n: int) -> list[int]:
-    """Rows spread evenly over the frames that hold points, those with an image first."""
-    has_points = frames["n_points"].to_numpy() > 0
-    candidates = np.flatnonzero(has_points & (frames["image_status"] == "ok").to_numpy())
-    if len(candidates) < n:
-        candidates = np.flatnonzero(has_points)
+    """Rows spread evenly over the frames that are whole and have an image; failing that whole; failing that with points."""
+    has_points, is_whole = frames["n_points"].to_numpy() > 0, (frames["status"] == "ok").to_numpy()
+    has_image = (frames["image_status"] == "ok").to_numpy()
+    for wanted in (has_points & is_whole & has_image, has_points & is_whole, has_points):
+        candidates = np.flatnonzero(wanted)
+        if len(candidates) >= n:
+            break
     chosen = candidates[np.unique(np.linspace(0, len(candidates) - 1, n).round().astype(int))] if len(candidates) else []
     return [int(row) for row in chosen]
 

@@ -172,6 +172,12 @@ class Messages:
         header = self.header(time_ns, "camera")
         return self._types["sensor_msgs/msg/Image"](header, pixels.shape[0], pixels.shape[1], encoding, 0, rows.shape[1] + padding, data)
 
+    def camera_info(self, time_ns: int, model: str, D: list[float]):
+        info, roi = self._types["sensor_msgs/msg/CameraInfo"], self._types["sensor_msgs/msg/RegionOfInterest"]
+        K = np.array([50, 0, 31.5, 0, 50, 15.5, 0, 0, 1.0])
+        P = np.c_[K.reshape(3, 3), np.zeros(3)].ravel()
+        return info(self.header(time_ns, "camera"), 32, 64, model, np.array(D), K, np.eye(3).ravel(), P, 0, 0, roi(0, 0, 0, 0, False))
+
     def fix(self, time_ns: int, latitude: float, longitude: float, altitude: float, status: int = 0):
         state = self._types["sensor_msgs/msg/NavSatStatus"](status, 1)
         make = self._types["sensor_msgs/msg/NavSatFix"]

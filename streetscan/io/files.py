@@ -1,6 +1,7 @@
 """Small files, as they are or xz-compressed."""
 
 import lzma
+import os
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -13,15 +14,23 @@ def find_file(path: str | Path) -> Path:
     """The file, or the same name with `.xz` where only that exists. BadInput when neither does."""
     path = Path(path)
     for candidate in (path, path.with_name(path.name + ".xz")):
-        if candidate.is_file():
+        if os.path.isfile(candidate):  # unlike pathlib's it does not raise where a folder must not be read
             return candidate
     raise BadInput(path, "no such file", "check the drive's file and data_root")
+
+
+def check_readable(path: str | Path) -> None:
+    """BadInput when a file or folder must not be read."""
+    if not os.access(path, os.R_OK | os.X_OK if os.path.isdir(path) else os.R_OK):
+        raise BadInput(path, "must not be read by you (permission denied)", "ask its owner, or change its permissions")
 
 
 def open_binary(path: str | Path) -> BinaryIO:
     """The file opened for reading bytes. BadInput when it is missing, no file, or must not be read."""
     path = Path(path)
     try:
+        if path.is_dir():
+            raise BadInput(path, "is a folder, not a file", "check root and reader in the drive's file")
         if not path.is_file():
             raise BadInput(path, "no such file", "check the drive's file and data_root")
         return path.open("rb")
@@ -43,7 +52,7 @@ def read_text(path: str | Path) -> str:
     """The contents of a UTF-8 text file, found by `find_file`. BadInput when it is missing or no text."""
     path = find_file(path)
     try:
-        return read_bytes(path).decode()
+        return read_bytes(path).decode("utf-8-sig")  # some editors begin a file with a mark of its encoding
     except UnicodeDecodeError as error:
         raise BadInput(path, "is no text file", "copy or export it again") from error
 

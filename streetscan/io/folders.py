@@ -1,6 +1,7 @@
 """Recordings kept as folders of numbered files: KITTI raw and odometry, sequences of bin, PCD and LAZ, range images."""
 
 import logging
+import os
 import re
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -12,6 +13,7 @@ import numpy as np
 from streetscan.errors import BadInput
 from streetscan.frames import LEAST_COVERED, BadRecord, CameraImage, LidarFrame, drop_non_finite, empty_frame, nanoseconds
 from streetscan.io import kitti, range_images
+from streetscan.io.files import check_readable
 from streetscan.io.images import check_image
 from streetscan.io.las import read_las
 from streetscan.io.pcd_sequence import read_pcd_columns
@@ -58,6 +60,8 @@ def list_files(root: Path, pattern: str, key: str) -> dict[int, Path]:
         remedy = f"write {key} relative to root, like folder/*.bin, or **/*.bin for all folders"
         raise BadInput(root, f"the pattern '{pattern}' finds nothing ({error})", remedy) from error
     if not paths:
+        if os.path.isdir(folder := root / Path(pattern).parent):
+            check_readable(folder)
         raise BadInput(root, f"holds no file '{pattern}'", f"is it the right data set? correct root or {key} in the drive's file")
     numbers = []
     for path in paths:
@@ -169,8 +173,11 @@ def _read_frame(path: Path, time_ns: int, read: Callable[[Path, int], LidarFrame
         return empty_frame(time_ns, error.status, 0, path.name)
     frame.source = path.name
     if labels is not None and frame.status in ("ok", "partial"):
-        frame.labels = kitti.read_labels(labels)
-        if len(frame.labels) != len(frame) + frame.n_dropped:
+        try:
+            frame.labels = kitti.read_labels(labels)
+        except BadInput as error:
+            logger.warning("labels_do_not_fit: %s", error)
+        if frame.labels is None or len(frame.labels) != len(frame) + frame.n_dropped:
             frame.labels, frame.status = None, "labels_do_not_fit"
     return drop_non_finite(frame)
 

@@ -19,6 +19,8 @@ _POINT_BYTES = 16
 # something else: another number of columns, or no floating point numbers at all.
 _FURTHEST_M = 1000.0
 _MOST_IMPLAUSIBLE = 0.01
+# So many points, evenly spread, tell: a look at all of a large scan costs ten times what reading it does.
+_N_LOOKED_AT = 4096
 _NS = 1_000_000_000
 
 
@@ -37,10 +39,11 @@ def read_scan(path: str | Path) -> tuple[np.ndarray, np.ndarray]:
     if n_bytes % _POINT_BYTES:
         raise BadRecord("truncated", f"{path} has {n_bytes} bytes, no multiple of {_POINT_BYTES}")
     scan = scan.view(np.float32).reshape(-1, 4)
+    some = scan[:: max(len(scan) // _N_LOOKED_AT, 1)]
     with np.errstate(invalid="ignore"):
-        n_wrong = max(np.count_nonzero(np.abs(scan[:, :3]) > _FURTHEST_M), np.count_nonzero(scan[:, 3] < 0))
-    if n_wrong > _MOST_IMPLAUSIBLE * len(scan):
-        reason = f"{n_wrong} of {len(scan)} points are beyond {_FURTHEST_M:.0f} m or have a negative reflectance"
+        n_wrong = max(np.count_nonzero(np.abs(some[:, :3]) > _FURTHEST_M), np.count_nonzero(some[:, 3] < 0))
+    if n_wrong > _MOST_IMPLAUSIBLE * len(some):
+        reason = f"{n_wrong} of {len(some)} points looked at are beyond {_FURTHEST_M:.0f} m or have a negative reflectance"
         raise BadRecord("unreadable", f"{path} is no scan of x, y, z, reflectance as float32: {reason}")
     return scan[:, :3], scan[:, 3]
 
@@ -61,7 +64,7 @@ def read_times(path: str | Path) -> np.ndarray:
     """Stamps (K,) int64 nanoseconds of a list of times.
 
     Understood are KITTI raw (`2011-09-26 13:02:25.964389445`, taken as UTC), KITTI odometry (seconds, one number a line) and a CSV with
-    a column `unix_time` or `time_s` and, for a list with gaps, `frame`.
+    a column `unix_time` or `time_s`; a column `frame`, where there is one, must count 0, 1, 2, ...
 
     Raises:
         BadInput: missing, empty or not one of these.
@@ -87,6 +90,8 @@ def _times_of_csv(text: str) -> np.ndarray:
     column = next((c for c in ("unix_time", "time_s") if c in table), None)
     if column is None:
         raise ValueError(f"columns {', '.join(table.columns)}")
+    if table[column].isna().any():
+        raise ValueError(f"row {int(table[column].isna().argmax())} holds no {column}")
     times = np.array([_decimal_ns(t) for t in table[column]], np.int64)
     if "frame" in table and not np.array_equal(table["frame"].astype(int), np.arange(len(table))):
         raise ValueError("the column frame does not count 0, 1, 2, ...")

@@ -26,7 +26,7 @@ from mcap_protobuf.writer import Writer
 
 from streetscan import geometry
 from streetscan.errors import BadInput
-from streetscan.frames import CameraImage, CameraModel, GpsFix, LidarFrame, Mounting
+from streetscan.frames import CameraImage, CameraModel, GpsFix, LidarFrame, Mounting, camera_model
 from streetscan.io.atomic import atomic_path
 from streetscan.io.files import open_binary
 from streetscan.io.images import check_image
@@ -293,7 +293,7 @@ def record_of_message(schema: str, message: object, conventions: LidarConvention
         if len(K) != 9:
             raise BadInput(where, f"the camera matrix K has {len(K)} of 9 numbers", "record the calibration again")
         P = P.reshape(3, 4) if len(P) == 12 else np.c_[K.reshape(3, 3), np.zeros(3)]
-        return CameraModel(message.width, message.height, K.reshape(3, 3), np.array(message.D), message.distortion_model, P)
+        return camera_model(message.width, message.height, K.reshape(3, 3), np.array(message.D), message.distortion_model, P, where)
     if schema == "foxglove.FrameTransform":
         t, q = message.translation, message.rotation
         T = geometry.transform_of_quaternion([t.x, t.y, t.z], [q.x, q.y, q.z, q.w])

@@ -14,6 +14,8 @@ _RING = ("ring", "channel", "line", "laser_id", "laserid")
 _TIME = ("time_offset_s", "time", "t", "timestamp", "offset_time", "time_stamp")
 # ASSUME: no offset within a revolution is as long as a day, and no recording is from 2 January 1970.
 _ABSOLUTE_S = 86_400.0
+# ASSUME: the middle half of a frame's firings lies within five revolutions; a wrong unit is wrong by a thousand.
+_LONGEST_REVOLUTIONS = 5.0
 
 
 @dataclass(frozen=True)
@@ -46,7 +48,7 @@ def frame_of_columns(columns: dict[str, np.ndarray], time_ns: int, conventions: 
         conventions: what the numbers mean.
         where: the record, named in errors.
     Raises:
-        BadInput: no x, y or z; columns of different length.
+        BadInput: no x, y or z; columns of different length; times of points in another unit than the conventions say.
     """
     names = {name.lower(): name for name in columns}
     if missing := [axis for axis in "xyz" if axis not in names]:
@@ -64,6 +66,11 @@ def frame_of_columns(columns: dict[str, np.ndarray], time_ns: int, conventions: 
         frame.ring = np.asarray(columns[name]).astype(np.uint16)
     if name := _first(names, _TIME):
         times_s = _seconds(np.asarray(columns[name]), conventions.time_unit_s, time_ns)
+        # Our own name is in seconds by definition.
+        spread_s = 0.0 if name == _TIME[0] else _spread_s(times_s)
+        if spread_s > _LONGEST_REVOLUTIONS * conventions.period_s:
+            found = f"half of the points' own times ('{name}') lie {spread_s:.6g} s apart, in revolutions of {conventions.period_s:.3g} s"
+            raise BadInput(where, found, "write their unit as lidar.time_unit_s into the drive's file")
         # A return whose firing is unknown or a day away is as useless as one without coordinates.
         with np.errstate(invalid="ignore"):
             is_wrong = ~(np.abs(times_s) < _ABSOLUTE_S)
@@ -100,6 +107,15 @@ def stamp_forward(frame: LidarFrame, times_s: np.ndarray | None, conventions: Li
 
 def _first(names: dict[str, str], wanted: tuple[str, ...]) -> str | None:
     return next((names[w] for w in wanted if w in names), None)
+
+
+def _spread_s(times_s: np.ndarray) -> float:
+    """How far the middle half of the finite times reaches; 0 for none."""
+    known = times_s[np.isfinite(times_s)]
+    if not len(known):
+        return 0.0
+    quarter, three_quarters = np.partition(known, [len(known) // 4, 3 * len(known) // 4])[[len(known) // 4, 3 * len(known) // 4]]
+    return float(three_quarters - quarter)
 
 
 def _seconds(values: np.ndarray, unit_s: float | None, time_ns: int) -> np.ndarray:

@@ -32,10 +32,10 @@ class RangeImageLayout:
 
     @cached_property
     def directions(self) -> np.ndarray:
-        """Unit vectors (rows, columns, 3) float32 of the pixels."""
+        """Unit vectors (3, rows * columns) float32 of the pixels, row by row; each coordinate lies together, quick to pick from."""
         elevations, azimuths = self.elevations_rad[:, None], self.azimuths_rad[None]
         xyz = np.cos(elevations) * np.cos(azimuths), np.cos(elevations) * np.sin(azimuths), np.sin(elevations) + 0 * azimuths
-        return np.stack(xyz, axis=-1).astype(np.float32)
+        return np.stack([np.ravel(coordinate) for coordinate in xyz]).astype(np.float32)
 
     @cached_property
     def rings(self) -> np.ndarray:
@@ -96,8 +96,10 @@ def read_range_image(path: str | Path, layout: RangeImageLayout) -> tuple[np.nda
         raise BadRecord("unreadable", f"{path} is no whole picture")
     if image.dtype != np.uint16 or image.shape != layout.shape:
         raise BadRecord("unreadable", f"{path} is {image.dtype} of shape {image.shape}, not uint16 of shape {layout.shape}")
-    pixels = np.flatnonzero(image)
-    ranges_m = image.ravel()[pixels].astype(np.float32) / np.float32(layout.units_per_m)
-    points = layout.directions.reshape(-1, 3).take(pixels, axis=0)
-    points *= ranges_m[:, None]
+    values = image.ravel()
+    pixels = np.flatnonzero(values > 0)
+    ranges_m = values.take(pixels).astype(np.float32) / np.float32(layout.units_per_m)
+    points = np.empty((len(pixels), 3), np.float32)
+    for axis, coordinate in enumerate(layout.directions):
+        np.multiply(coordinate.take(pixels), ranges_m, out=points[:, axis])
     return points, layout.rings.take(pixels), layout.azimuths_of_pixels_rad.take(pixels), float(image.any(axis=0).mean())

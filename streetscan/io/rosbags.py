@@ -15,7 +15,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
 from streetscan.errors import BadInput
-from streetscan.frames import CameraImage, CameraModel, GpsFix, LidarFrame
+from streetscan.frames import CameraImage, CameraModel, GpsFix, LidarFrame, camera_model
 from streetscan.io.images import check_image, png_of_raw
 from streetscan.io.mcap import iterate_mcap
 from streetscan.io.pcap import PacketDecoder
@@ -106,7 +106,8 @@ class MessageConverter:
                 yield frame
 
     def _fix(self, message: Any) -> Iterator[GpsFix]:
-        if message.status.status < 0 or not np.isfinite([message.latitude, message.longitude]).all():
+        is_on_earth = abs(message.latitude) <= 90 and abs(message.longitude) <= 360
+        if message.status.status < 0 or not is_on_earth:
             self.n_without_position += 1
             return
         known = message.position_covariance_type > 0
@@ -296,11 +297,11 @@ def _columns(message: Any, where: object) -> dict[str, np.ndarray]:
 def _camera_model(message: Any, where: object) -> CameraModel:
     # ROS 1 names the matrices D, K, P, ROS 2 d, k, p.
     K, D, P = (np.array(getattr(message, n, None) if hasattr(message, n) else getattr(message, n.upper())) for n in "kdp")
-    if K.reshape(3, 3)[0, 0] <= 0:
+    if not K.any():
         raise BadInput(where, "an uncalibrated camera (K is zero)", "calibrate the camera, or leave out camera.info_topic")
-    P = P.reshape(3, 4)
-    K = K.reshape(3, 3)
-    return CameraModel(message.width, message.height, K, D, message.distortion_model, P if P[0, 0] > 0 else np.c_[K, np.zeros(3)])
+    P, K = P.reshape(3, 4), K.reshape(3, 3)
+    P = P if P[0, 0] > 0 else np.c_[K, np.zeros(3)]
+    return camera_model(message.width, message.height, K, D, message.distortion_model, P, where)
 
 
 def _stamp_ns(message: Any) -> int:

@@ -1,6 +1,6 @@
 """Voxel labels from point labels, and the voxels a network is trained on.
 
-Source: Nagy (2020), 2.4.1 (majority vote, N-014), 2.4.2 (rotated clones, N-021), 2.5.1 (draw per class, N-028, N-029).
+Source: Nagy (2020), 2.4.1 (majority vote, N-014), 2.5.1 (draw per class, N-028, N-029).
 """
 
 import logging
@@ -47,26 +47,22 @@ def vote_labels(grid: VoxelGrid, chunks: Iterable[tuple[np.ndarray, np.ndarray]]
 
 
 def draw_samples(
-    labels: np.ndarray, n_per_class: int, n_turns: int, rng: np.random.Generator, expected: Iterable[str] = ()
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    labels: np.ndarray, n_per_class: int, rng: np.random.Generator, expected: Iterable[str] = ()
+) -> tuple[np.ndarray, np.ndarray]:
     """Voxels for training or validation, the same number of every class where there are enough (N-028, N-029).
 
     Args:
         labels: (V,) uint8 voxel labels, 255 unlabelled.
         n_per_class: voxels of each class; a class with fewer gives all it has and the log says so.
-        n_turns: clones of each voxel, 1 to 4, each turned by another number of quarter turns drawn at random (N-021).
-            ASSUME: quarter turns, since they map voxels onto voxels; the clones come on top of n_per_class.
         rng: the generator.
         expected: names of the classes that must occur.
     Returns:
-        rows (S,) int64 into `labels`, the samples' labels (S,) uint8 and quarter turns (S,) uint8, grouped by class.
+        rows (S,) int64 into `labels` and the samples' labels (S,) uint8, grouped by class.
     Raises:
         BadInput: a setting out of range, an expected class without any voxel, or no labelled voxel at all.
     """
     if n_per_class < 1:
         raise BadInput("extract_samples.n_per_class", f"{n_per_class} is not above 0", "give the number of voxels per class")
-    if not 1 <= n_turns <= 4:
-        raise BadInput("extract_samples.n_turns", f"{n_turns} is not in 1..4", "there are four quarter turns")
     available = np.bincount(labels, minlength=256)[:N_CLASSES]
     for name in expected:
         if name not in NAMES:
@@ -81,7 +77,5 @@ def draw_samples(
             logger.info("class %s: %d voxels of %d asked for", NAMES[label], n, n_per_class)
         rows.append(rng.choice(np.flatnonzero(labels == label), min(n, n_per_class), replace=False))
     rows = np.concatenate(rows)
-    turns = rng.permuted(np.tile(np.arange(4, dtype=np.uint8), (len(rows), 1)), axis=1)[:, :n_turns]
-    rows = np.repeat(rows, n_turns)
     logger.info("%d samples", len(rows))
-    return rows, labels[rows], turns.reshape(-1)
+    return rows, labels[rows]

@@ -26,6 +26,8 @@ from torch.nn.functional import embedding
 
 from streetscan.segmentation.c2cnn import C2CNN, Layer
 
+# Outputs of a convolution that the compiled loop computes together; 8 outputs take twice the time of 16.
+_VECTOR = 16
 # Sites whose taps are gathered at once for a weight gradient: fits the cache.
 _GATHERED = 2048
 
@@ -166,11 +168,11 @@ class _SparseConv(torch.autograd.Function):
         inputs, users = ctx.tables
         grad = grad.contiguous()
         grad_weight = torch.zeros_like(weight)
-        taps = torch.empty(_GATHERED, weight[..., 0].numel())
-        for start in range(0, len(inputs), _GATHERED):
-            part = slice(start, start + _GATHERED)
-            _gather(x.numpy(), inputs[part], taps.numpy())
-            grad_weight.view(-1, grad.shape[1]).addmm_(taps[: len(grad[part])].T, grad[part])
+        padded = torch.cat([x, torch.zeros(1, x.shape[1])])
+        rows = torch.from_numpy(np.where(inputs < 0, len(x), inputs))
+        for part, grad_part in zip(rows.split(_GATHERED), grad.split(_GATHERED), strict=True):
+            taps = padded.index_select(0, part.flatten()).view(len(part), -1)
+            grad_weight.view(-1, grad.shape[1]).addmm_(taps.T, grad_part)
         grad_x = None if users is None else _apply_taps(grad, weight.transpose(1, 2).contiguous(), users)
         return grad_x, grad_weight, None, None
 
@@ -190,9 +192,13 @@ class _MaxPool(torch.autograd.Function):
 
 
 def _apply_taps(x: torch.Tensor, weight: torch.Tensor, inputs: np.ndarray) -> torch.Tensor:
+    n_in, n_out = weight.shape[1:]
+    weight = weight.detach()
+    if n_in >= _VECTOR // 2 and n_out % _VECTOR:
+        weight = torch.nn.functional.pad(weight, (0, -n_out % _VECTOR))
     out = np.empty((len(inputs), weight.shape[2]), np.float32)
-    _conv_kernel(weight.shape[1], weight.shape[2])(x.detach().contiguous().numpy(), inputs, weight.detach().numpy(), out)
-    return torch.from_numpy(out)
+    _conv_kernel(n_in, weight.shape[2])(x.detach().contiguous().numpy(), inputs, weight.numpy(), out)
+    return torch.from_numpy(out)[:, :n_out]
 
 
 @functools.cache
@@ -213,16 +219,6 @@ def _conv_kernel(n_in: int, n_out: int):
                         out[i, c] += total
 
     return kernel
-
-
-@njit(**_COMPILED)
-def _gather(x, inputs, out):
-    n_channels = x.shape[1]
-    for i in range(inputs.shape[0]):
-        for t in range(inputs.shape[1]):
-            j = inputs[i, t]
-            for c in range(n_channels):
-                out[i, t * n_channels + c] = x[j, c] if j >= 0 else np.float32(0.0)
 
 
 @njit(**_COMPILED)

@@ -1,7 +1,8 @@
 """Training of C²CNN on sampled voxels.
 
 Samples that lie close together share most of the network's work, so a batch is a number of small patches, each with
-several of its samples, placed side by side in one coordinate frame.
+several of its samples, placed side by side in one coordinate frame. Each time a patch is drawn it is turned about the
+vertical by another number of quarter turns, which map voxels onto voxels: the thesis' randomly rotated clones (N-021).
 
 Source: Nagy (2020), 2.4.2 and appendix A.2.6; N-020..N-023, N-027..N-029.
 """
@@ -48,6 +49,9 @@ class Schedule:
         samples_per_epoch: samples drawn for an epoch (all where there are fewer).
         learning_rate: at the start.
         momentum: of SGD.
+        averaging: the network that is scored and kept is the running mean of the weights, in which a batch's weights fade by this
+            factor with each later one; 0 takes the last weights. ASSUME: the thesis has none; it takes out the noise of the last
+            steps without waiting for the rate to fall.
         max_gradient: a batch's gradient is shortened to this length. ASSUME: the thesis names no limit; without normalisation
             layers a few dense patches give steps so long that ReLUs die for good.
         lr_factor: the learning rate is multiplied by this when the validation accuracy stops rising (N-022).
@@ -66,6 +70,7 @@ class Schedule:
     samples_per_epoch: int = 200_000
     learning_rate: float = 0.05
     momentum: float = 0.9
+    averaging: float = 0.0
     max_gradient: float = 1.0
     lr_factor: float = 0.3
     lr_patience: int = 1
@@ -86,6 +91,8 @@ class Schedule:
             raise BadInput(
                 "learning_rate", f"{self.learning_rate} with momentum {self.momentum}", "give a rate above 0, a momentum in [0, 1)"
             )
+        if not 0 <= self.averaging < 1:
+            raise BadInput("averaging", f"{self.averaging} is not in [0, 1)", "give the factor by which older weights fade, 0 for none")
         if not self.max_gradient > 0:
             raise BadInput("max_gradient", f"{self.max_gradient} is not above 0", "give the longest gradient, such as 1")
         if not 0 < self.lr_factor < 1 or self.lr_patience < 0:
@@ -105,12 +112,10 @@ class Samples:
     Attributes:
         keys: (S, 3) int32 centre voxels.
         labels: (S,) uint8, 0..8.
-        turns: (S,) uint8 quarter turns of the cube, counter-clockwise about the vertical (N-021).
     """
 
     keys: np.ndarray
     labels: np.ndarray
-    turns: np.ndarray
 
     def __len__(self) -> int:
         return len(self.keys)
@@ -118,8 +123,8 @@ class Samples:
     @classmethod
     def load(cls, path: str | Path) -> "Samples":
         """Read what extract_samples wrote. BadInput when the file is something else, empty, or has labels beyond 0..8."""
-        samples = cls(*load_npz(path, ("keys", "labels", "turns"), "extract_samples"))
-        if not len(samples.keys) == len(samples.labels) == len(samples.turns) > 0:
+        samples = cls(*load_npz(path, ("keys", "labels"), "extract_samples"))
+        if not len(samples.keys) == len(samples.labels) > 0:
             raise BadInput(path, "holds no samples, or columns of different length", "run extract_samples again")
         if samples.labels.max() >= N_CLASSES:
             raise BadInput(path, f"label {samples.labels.max()} is no class", "run extract_samples again")
@@ -159,12 +164,12 @@ class Part:
         return cls(VoxelGrid.load(voxels_path), Samples.load(samples_path), settings, patch_voxels, samples_path)
 
     def runs(self, n: int, n_samples: int, rng: np.random.Generator) -> list[np.ndarray]:
-        """Group the samples in runs of at most `n` that share patch and turn, and draw runs with about `n_samples` in all.
+        """Group the samples in runs of at most `n` of one patch, and draw runs with about `n_samples` in all.
 
         Returns rows of samples, a run each, in random order; no sample twice.
         """
         drawn = rng.permutation(len(self.samples))
-        group = pack_keys(self._sample_patch[drawn]) * 4 + self.samples.turns[drawn]
+        group = pack_keys(self._sample_patch[drawn])
         order = np.argsort(group, kind="stable")
         drawn, group = drawn[order], group[order]
         first = np.flatnonzero(np.r_[True, group[1:] != group[:-1]])
@@ -175,12 +180,13 @@ class Part:
         return runs[: int(np.searchsorted(np.cumsum([len(run) for run in runs]), n_samples)) + 1]
 
     def batch(
-        self, runs: list[np.ndarray], thinning: float, rng: np.random.Generator
+        self, runs: list[np.ndarray], turns: np.ndarray, thinning: float, rng: np.random.Generator
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """The patches of several runs side by side.
 
         Args:
-            runs: rows of samples, each run of one patch and one turn.
+            runs: rows of samples, each run of one patch.
+            turns: (len(runs),) int64 quarter turns of each patch, counter-clockwise about the vertical.
             thinning: lowest share of points kept, 1 for all.
             rng: of the thinning.
         Returns:
@@ -189,7 +195,6 @@ class Part:
         """
         radius, side = self.settings.radius, self.patch_voxels
         patches = self._sample_patch[[run[0] for run in runs]]
-        turns = self.samples.turns[[run[0] for run in runs]].astype(np.int64)
         middles = patches * side + side // 2
         # Beside each other along x, a patch with its surroundings each: no cube sees two patches.
         spacing = side + 2 * radius + 1
@@ -306,6 +311,7 @@ def train(
         optimizer, "max", schedule.lr_factor, schedule.lr_patience, threshold=1e-3, threshold_mode="abs"
     )
     rng = np.random.default_rng(schedule.seed)
+    averaged = copy.deepcopy(network)
     history, best = [], copy.deepcopy(network.state_dict())
     checkpoint = None
     if resume_folder is not None:
@@ -313,6 +319,7 @@ def train(
         if checkpoint.is_file():
             state = torch.load(checkpoint, weights_only=True)
             network.load_state_dict(state["network"])
+            averaged.load_state_dict(state["averaged"])
             optimizer.load_state_dict(state["optimizer"])
             scheduler.load_state_dict(state["scheduler"])
             rng.bit_generator.state = json.loads(state["rng"])
@@ -322,11 +329,11 @@ def train(
         for epoch in range(len(history) + 1, schedule.n_epochs + 1):
             start = time.perf_counter()
             learning_rate = optimizer.param_groups[0]["lr"]
-            train_loss, train_accuracy = _run_epoch(network, training, schedule, weights, rng, optimizer, workers, epoch)
-            validation_loss, validation_accuracy = score(network, validation, weights, workers)
+            train_loss, train_accuracy = _run_epoch(network, averaged, training, schedule, weights, rng, optimizer, workers, epoch)
+            validation_loss, validation_accuracy = score(averaged, validation, weights, workers)
             scheduler.step(validation_accuracy)
             if validation_accuracy > max((row["validation_accuracy"] for row in history), default=-1.0):
-                best = copy.deepcopy(network.state_dict())
+                best = copy.deepcopy(averaged.state_dict())
             history.append(
                 {
                     "epoch": epoch,
@@ -342,8 +349,8 @@ def train(
             text = "epoch %d of %d: loss %.3f, accuracy %.3f; validation %.3f, %.3f; learning rate %.4g; %d min %02d s left"
             logger.info(text, epoch, schedule.n_epochs, *list(history[-1].values())[1:6], *divmod(round(left_s), 60))
             if checkpoint is not None:
-                state = {"network": network.state_dict(), "optimizer": optimizer.state_dict(), "scheduler": scheduler.state_dict()}
-                state |= {"rng": json.dumps(rng.bit_generator.state), "history": history, "best": best}
+                state = {"network": network.state_dict(), "averaged": averaged.state_dict(), "optimizer": optimizer.state_dict()}
+                state |= {"scheduler": scheduler.state_dict(), "rng": json.dumps(rng.bit_generator.state), "history": history, "best": best}
                 with atomic_path(checkpoint) as partial:
                     torch.save(state, partial)
     network.load_state_dict(best)
@@ -355,7 +362,7 @@ def score(network: C2CNN, part: Part, weights: torch.Tensor, workers: Executor) 
     tally, rng = _Tally(), np.random.default_rng(0)
 
     def judge(runs):
-        channels, coords, wanted, labels = part.batch(runs, 1.0, rng)
+        channels, coords, wanted, labels = part.batch(runs, np.zeros(len(runs), np.int64), 1.0, rng)
         with torch.inference_mode():
             logits, labels = sparse_logits(network, channels, coords, wanted), torch.from_numpy(labels)
             return cross_entropy(logits, labels, weights, reduction="none"), logits, labels
@@ -367,6 +374,7 @@ def score(network: C2CNN, part: Part, weights: torch.Tensor, workers: Executor) 
 
 def _run_epoch(
     network: C2CNN,
+    averaged: C2CNN,
     part: Part,
     schedule: Schedule,
     weights: torch.Tensor,
@@ -380,7 +388,9 @@ def _run_epoch(
     batches = list(_batches(part.runs(schedule.samples_per_patch, schedule.samples_per_epoch, rng), schedule.samples_per_batch))
 
     def differentiate(runs, seed):
-        channels, coords, wanted, labels = part.batch(runs, schedule.thinning, np.random.default_rng(seed))
+        rng = np.random.default_rng(seed)
+        turns = rng.integers(4, size=len(runs))
+        channels, coords, wanted, labels = part.batch(runs, turns, schedule.thinning, rng)
         labels = torch.from_numpy(labels)
         logits = sparse_logits(network, channels, coords, wanted, torch.Generator().manual_seed(seed))
         losses = cross_entropy(logits, labels, weights, reduction="none")
@@ -396,12 +406,21 @@ def _run_epoch(
             parameter.grad = sum(gradients) / n_samples
         torch.nn.utils.clip_grad_norm_(parameters, schedule.max_gradient)
         optimizer.step()
+        _average(averaged, network, schedule.averaging, (epoch - 1) * len(batches) + i)
         for result in results:
             tally.add(*result[1:])
         if time.perf_counter() - last_message > 30:
             last_message = time.perf_counter()
             logger.info("epoch %d: %d of %d batches, loss %.3f", epoch, i + 1, len(batches), tally.loss)
     return tally.loss, tally.accuracy
+
+
+def _average(averaged: C2CNN, network: C2CNN, factor: float, n_before: int) -> None:
+    """Move the running mean towards a network's weights; the first weights, far from any good ones, fade faster."""
+    factor = min(factor, n_before / (n_before + 10))
+    with torch.no_grad():
+        for mean, latest in zip(averaged.parameters(), network.parameters(), strict=True):
+            mean.lerp_(latest, 1 - factor)
 
 
 class _Tally:
@@ -439,7 +458,7 @@ def _fingerprint(schedule: Schedule, training: Part, validation: Part, weights: 
     """Hash of everything the result depends on."""
     digest = hashlib.sha256(json.dumps([asdict(network.settings), asdict(schedule), torch.__version__]).encode())
     for part in (training, validation):
-        for array in (part.grid.keys, part.channels, part.samples.keys, part.samples.labels, part.samples.turns):
+        for array in (part.grid.keys, part.channels, part.samples.keys, part.samples.labels):
             digest.update(np.ascontiguousarray(array))
     for tensor in (weights, *network.state_dict().values()):
         digest.update(tensor.detach().numpy().tobytes())

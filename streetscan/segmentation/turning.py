@@ -21,7 +21,7 @@ def turn_map(
 ) -> tuple[VoxelGrid, np.ndarray]:
     """One grid with `n_yaws` turned copies of a map, the first of them the map itself.
 
-    ASSUME: the yaws divide a quarter turn evenly; the samples' own quarter turns give the rest of the circle.
+    ASSUME: the yaws divide a quarter turn evenly; the quarter turns of training give the rest of the circle.
 
     Args:
         read_points: gives the map's (n, 3) float64 points, metres, frame `map`, in chunks; called 2 `n_yaws` times.

@@ -9,22 +9,25 @@ import json
 import logging
 import time
 import zlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pandas as pd
 
 from streetscan import geometry
 from streetscan.classes import NAMES
-from streetscan.drives import DriveFacts, Record, TruthFacts
+from streetscan.drives import CameraFacts, DriveFacts, Record, TruthFacts
 from streetscan.errors import BadInput
-from streetscan.frames import CameraModel, GpsFix, LidarFrame, Mounting, nanoseconds
+from streetscan.frames import CameraImage, CameraModel, LidarFrame, Mounting, nanoseconds
 from streetscan.io.atomic import atomic_path
 from streetscan.io.tables import save_tables
-from streetscan.io.trajectories import write_tum
+from streetscan.io.trajectories import write_poses_csv, write_tum
+from streetscan.simulation.camera import AutoExposure, Camera, mount_camera, render, settle_exposure
 from streetscan.simulation.changes import Day
+from streetscan.simulation.daylight import Daylight
 from streetscan.simulation.gps import Gps, record_fixes
 from streetscan.simulation.layout import build_street
 from streetscan.simulation.raycasting import SceneCaster
@@ -39,6 +42,57 @@ _NS = 1_000_000_000
 
 
 @dataclass(frozen=True)
+class CameraMount:
+    """A camera on the vehicle, and which of its images are rendered.
+
+    Attributes:
+        xyz_m: in the vehicle frame.
+        rpy_deg: roll about the viewing direction, pitch downwards, yaw counter-clockwise from forward.
+        rate_hz: images a second.
+        n_keyframes: places of the drive, evenly spread, around which a window of images is rendered.
+        window: images of a window, at the full rate.
+        previews_per_s: images between the windows.
+        is_full_rate: render every image.
+        time_offset_s: what the images' stamps are ahead of the lidar's clock.
+        jpeg_quality: of the images, 1 to 100.
+        settings: what differs from `streetscan.simulation.camera.Camera`.
+        daylight: what differs from `streetscan.simulation.daylight.Daylight`.
+    """
+
+    xyz_m: tuple[float, float, float]
+    rpy_deg: tuple[float, float, float]
+    rate_hz: float = 28.0
+    n_keyframes: int = 2
+    window: int = 10
+    previews_per_s: float = 1.0
+    is_full_rate: bool = False
+    time_offset_s: float = 0.0
+    jpeg_quality: int = 95
+    settings: dict = field(default_factory=dict)
+    daylight: dict = field(default_factory=dict)
+
+    @property
+    def T_vehicle_camera(self) -> np.ndarray:
+        roll_deg, pitch_deg, yaw_deg = self.rpy_deg
+        return mount_camera(self.xyz_m, yaw_deg, pitch_deg, roll_deg)
+
+    def image_times(self, end_s: float) -> list[tuple[float, bool]]:
+        """Mid-exposures of the images rendered of a drive until `end_s`, and whether each follows the one before at the full rate.
+
+        A window lies around the middle of each of `n_keyframes` equal parts of the drive.
+        """
+        n = int(end_s * self.rate_hz)
+        chosen = set(range(n)) if self.is_full_rate else set()
+        for k in range(self.n_keyframes):
+            first = round((k + 0.5) / self.n_keyframes * end_s * self.rate_hz - self.window / 2)
+            first = min(max(first, 0), max(n - self.window, 0))
+            chosen |= set(range(first, min(first + self.window, n)))
+        if self.previews_per_s:
+            chosen |= {min(int((k + 0.5) / self.previews_per_s * self.rate_hz), n - 1) for k in range(int(end_s * self.previews_per_s))}
+        return [((i + 0.5) / self.rate_hz, i - 1 in chosen) for i in sorted(chosen)]
+
+
+@dataclass(frozen=True)
 class SimulatedDrive:
     """The section `simulation` of a drive's file; see config/drive.schema.yaml for each key."""
 
@@ -50,16 +104,19 @@ class SimulatedDrive:
     start_m: float = 0.0
     number: int = 0
     backwards: bool = False
+    blocks: tuple[int, int] | None = None
     traffic_density: float | None = None
     day: Day = field(default_factory=Day)
     lidar: dict = field(default_factory=dict)
     gps: Gps = field(default_factory=Gps)
+    camera: "CameraMount | None" = None
 
 
 def read_simulation(values: dict) -> SimulatedDrive:
     """The section as read from YAML, checked against the schema before."""
-    parts = {"day": Day, "gps": Gps}
-    return SimulatedDrive(**{k: parts[k](**v) if k in parts else v for k, v in values.items()})
+    parts = {"day": Day, "gps": Gps, "camera": CameraMount}
+    plain = {k: tuple(v) if isinstance(v, list) else v for k, v in values.items()}
+    return SimulatedDrive(**{k: parts[k](**v) if k in parts else v for k, v in plain.items()})
 
 
 class SimulatedRecording:
@@ -83,19 +140,26 @@ class SimulatedRecording:
         self._drive = drive = read_simulation(facts.simulation)
         self._seed = zlib.crc32(f"{seed} {name}".encode())
         self.path = facts.where
-        truth = TruthFacts(labels={"ids": "streetscan"}, poses={"source": "simulated: exact"})
-        self.facts = replace(facts, truth=truth, start_time_s=facts.start_time_s)
+        exact = {"source": "simulated: exact"}
+        truth = TruthFacts(labels={"ids": "streetscan"}, poses=exact, extrinsics=exact if drive.camera else None)
+        self.facts = replace(facts, truth=truth, camera=CameraFacts() if drive.camera else None)
         self.mountings = [
             Mounting(m["parent"], m["child"], geometry.transform(m["xyz_m"], np.radians(m["rpy_deg"])), m["source"]) for m in facts.mounting
         ]
-        self.camera_model: CameraModel | None = None
-        self.T_camera_lidar: np.ndarray | None = None
         self._start_ns = nanoseconds(facts.start_time_s)
         self._lidar = _make_lidar(drive.lidar, facts.rate_hz, data_root, seed)
+        self.camera_model: CameraModel | None = None
+        self.T_camera_lidar: np.ndarray | None = None
+        if drive.camera is not None:
+            settings = {k: tuple(v) if isinstance(v, list) else v for k, v in drive.camera.settings.items()}
+            self._camera, self._daylight = Camera(**settings), Daylight(**drive.camera.daylight)
+            self.camera_model = self._camera.model
+            self.T_camera_lidar = geometry.invert(drive.camera.T_vehicle_camera) @ self._lidar.T_vehicle_lidar
         self._end_s = drive.n_frames / facts.rate_hz
 
         changed = street if drive.traffic_density is None else street | {"traffic_density": drive.traffic_density}
-        scene = build_street(split=drive.split, seed=seed, day=drive.day, time_span_s=(-10.0, self._end_s + 5.0), **changed)
+        span_s = (-10.0, self._end_s + 5.0)
+        scene = build_street(split=drive.split, seed=seed, day=drive.day, time_span_s=span_s, block=drive.blocks, **changed)
         self._crs = scene.crs
         self._trajectory = _plan(scene, drive, self._end_s, self._seed, facts.where)
         self._scene = without_collisions(scene, self._trajectory)
@@ -112,19 +176,26 @@ class SimulatedRecording:
         return self._vehicle_poses(np.array([(frame.time_ns - self._start_ns) / _NS]))[0] @ self._lidar.T_vehicle_lidar
 
     def records(self) -> Iterator[Record]:
-        """Frames and fixes in the order of time. A drive that was stopped gives the frames it had made again without making them."""
+        """Frames, images and fixes in the order of time. A drive that was stopped gives what it had made again without making it."""
         rng = np.random.default_rng([self._seed, 1])
         fixes = record_fixes(self._caster, self._drive.gps, self._trajectory, self._crs, self._end_s, rng, self._start_ns)
-        stamps = [(self._start_ns + round(self._lidar.stamp_s(n) * _NS), n) for n in range(self._drive.n_frames)]
-        progress = _Progress(len(stamps), "frame")
-        for time_ns, item in sorted([*stamps, *((f.time_ns, f) for f in fixes)], key=lambda pair: pair[0]):
-            if isinstance(item, GpsFix):
-                yield item
-                continue
-            frame = self._frame(item)
-            frame.time_ns = time_ns
+        events: list[tuple[int, Callable]] = [(fix.time_ns, lambda f=fix: f) for fix in fixes]
+        for n in range(self._drive.n_frames):
+            events.append((self._start_ns + round(self._lidar.stamp_s(n) * _NS), lambda n=n: self._frame(n)))
+        for n, (time_s, is_next) in enumerate(self._image_times()):
+            events.append((self._stamp_of_image(time_s), lambda n=n, t=time_s, i=is_next: self._image(n, t, i)))
+        progress = _Progress(len(events))
+        for time_ns, make in sorted(events, key=lambda event: event[0]):
+            record = make()
+            record.time_ns = time_ns
             progress.step()
-            yield frame
+            yield record
+
+    def _image_times(self) -> list[tuple[float, bool]]:
+        return [] if self._drive.camera is None else self._drive.camera.image_times(self._end_s)
+
+    def _stamp_of_image(self, time_s: float) -> int:
+        return self._start_ns + round((time_s + self._drive.camera.time_offset_s) * _NS)
 
     def write_truth(self, folder: Path, times_ns: list[int]) -> dict:
         """Write the vehicle's trajectory, the objects' motion and what changed in the street; says in a mapping what there is."""
@@ -138,14 +209,24 @@ class SimulatedRecording:
         })  # fmt: skip
         with atomic_path(folder / "changes.json") as partial:
             partial.write_text(json.dumps(count_changes(self._scene.changes), indent=1) + "\n")
-        return {
+        mountings = {"T_vehicle_lidar": self._lidar.T_vehicle_lidar, "T_vehicle_gps": geometry.transform(self._drive.gps.position_m)}
+        contents = {
             "instances": {"type": "uint32, one file per frame, in the order of the points; 0 is none"},
             "trajectory": {"file": "trajectory.tum", "frame": "T_map_vehicle; firings lie between its poses, which are linear in time"},
-            "mountings": {
-                "T_vehicle_lidar": self._lidar.T_vehicle_lidar.tolist(),
-                "T_vehicle_gps": geometry.transform(self._drive.gps.position_m).tolist(),
-            },
         }
+        if (camera := self._drive.camera) is not None:
+            mountings["T_vehicle_camera"] = camera.T_vehicle_camera
+            shown_s = np.array([t for t, _ in self._image_times()])
+            stamps_s = np.array([self._stamp_of_image(t) for t in shown_s]) / _NS
+            poses = self._vehicle_poses(shown_s) @ camera.T_vehicle_camera
+            write_poses_csv(folder / "camera_poses.csv", np.arange(len(shown_s)), stamps_s, poses)
+            contents["masks"] = {"type": "instances uint32 and labels uint8 of the pixels, one file per image in order of time"}
+            contents["extrinsics"] = {
+                "T_camera_lidar": self.T_camera_lidar.tolist(),
+                "time_offset_s": camera.time_offset_s,
+                "source": "simulated: exact; images' stamps are time_offset_s ahead of the lidar's clock",
+            }
+        return contents | {"mountings": {name: T.tolist() for name, T in mountings.items()}}
 
     def _vehicle_poses(self, times_s: np.ndarray) -> np.ndarray:
         """T_map_vehicle (n, 4, 4)."""
@@ -153,23 +234,43 @@ class SimulatedRecording:
         return geometry.transform_of_rotation(rotations, positions)
 
     def _frame(self, number: int) -> LidarFrame:
-        path = self._kept / f"lidar_{number:06d}.npz"
-        names = ("points", "intensity", "ring", "time_offset_s", "labels", "instances")
-        if path.is_file():
-            with np.load(path) as arrays:
-                columns = {n: arrays[n] for n in names}
-            return LidarFrame(0, **columns, number=number, status="ok" if len(columns["points"]) else "empty")
-        frame = record_frame(self._caster, self._lidar, self._trajectory, number, self._seed)
-        with atomic_path(path) as partial, partial.open("wb") as stream:
-            np.savez(stream, **{n: getattr(frame, n) for n in names})
-        return frame
+        def make() -> dict:
+            frame = record_frame(self._caster, self._lidar, self._trajectory, number, self._seed)
+            return {n: getattr(frame, n) for n in ("points", "intensity", "ring", "time_offset_s", "labels", "instances")}
+
+        columns = self._keep(f"lidar_{number:06d}", make)
+        return LidarFrame(0, **columns, number=number, status="ok" if len(columns["points"]) else "empty")
+
+    def _image(self, number: int, time_s: float, is_next: bool) -> CameraImage:
+        view = self._caster, self._trajectory, self._drive.camera.T_vehicle_camera, self._camera, time_s
+
+        def make() -> dict:
+            # The automatic follows the light within a window, and has settled before it begins.
+            auto = self._exposure if is_next else settle_exposure(*view, self._daylight)
+            image = render(*view, auto, np.random.default_rng([self._seed, 3, number]), self._daylight)
+            quality = [cv2.IMWRITE_JPEG_QUALITY, self._drive.camera.jpeg_quality]
+            data = cv2.imencode(".jpg", image.rgb[..., ::-1], quality)[1]
+            return {"data": data, "instances": image.instances, "labels": image.classes, "exposure": [auto.exposure_s, auto.gain]}
+
+        kept = self._keep(f"image_{number:06d}", make)
+        self._exposure = AutoExposure(*(float(v) for v in kept["exposure"]))
+        return CameraImage(0, kept["data"].tobytes(), "jpeg", instances=kept["instances"], labels=kept["labels"])
+
+    def _keep(self, name: str, make: Callable[[], dict]) -> dict[str, np.ndarray]:
+        """Arrays made now, or by a run that was stopped."""
+        path = self._kept / f"{name}.npz"
+        if not path.is_file():
+            with atomic_path(path) as partial, partial.open("wb") as stream:
+                np.savez(stream, **make())
+        with np.load(path) as arrays:
+            return dict(arrays.items())
 
 
 class _Progress:
     """Says now and then how far a long work is and how long it will still take."""
 
-    def __init__(self, n: int, what: str):
-        self._n, self._what, self._done = n, what, 0
+    def __init__(self, n: int):
+        self._n, self._done = n, 0
         self._started = self._said = time.perf_counter()
 
     def step(self) -> None:
@@ -177,8 +278,8 @@ class _Progress:
         self._done += 1
         now = time.perf_counter()
         if now - self._said >= _LOG_EVERY_S or self._done == self._n:
-            each = (now - self._started) / self._done
-            logger.info("%s %d of %d, %.2f s each, %.0f s left", self._what, self._done, self._n, each, each * (self._n - self._done))
+            left_s = (now - self._started) / self._done * (self._n - self._done)
+            logger.info("%d of %d frames, images and fixes after %.0f s, %.0f s left", self._done, self._n, now - self._started, left_s)
             self._said = now
 
 

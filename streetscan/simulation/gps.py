@@ -7,6 +7,7 @@ is 7 m and 8.5 degrees off.
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.signal import lfilter
 
 from streetscan import geodesy
 from streetscan.frames import GpsFix
@@ -16,6 +17,8 @@ from streetscan.simulation.recording import Trajectory
 _SKY_AZIMUTHS, _SKY_ELEVATIONS_DEG = 24, (15.0, 30.0, 45.0, 60.0)
 # The errors are simulated this often, so that they do not depend on how often they are looked at.
 _STEP_S = 0.1
+# ASSUME: a receiver smooths over this share of the memory.
+_SMOOTHING = 0.1
 
 
 @dataclass(frozen=True)
@@ -126,13 +129,13 @@ def soft_limit(vectors: np.ndarray, limit: float) -> np.ndarray:
 
 
 def _wander(n: int, n_axes: int, memory_s: float, rng: np.random.Generator) -> np.ndarray:
-    """(n, n_axes) stationary Gauss-Markov noise of unit standard deviation."""
-    keep = np.exp(-_STEP_S / memory_s)
-    draws = rng.standard_normal((n, n_axes))
-    draws[1:] *= np.sqrt(1 - keep**2)
-    for i in range(1, n):
-        draws[i] += keep * draws[i - 1]
-    return draws
+    """(n, n_axes) stationary Gauss-Markov noise of unit standard deviation, as a receiver's filter smooths it."""
+    slow, fast = np.exp(-_STEP_S / memory_s), np.exp(-_STEP_S / (_SMOOTHING * memory_s))
+    n_before = int(np.ceil(10 * memory_s / _STEP_S))
+    draws = rng.standard_normal((n_before + n, n_axes))
+    noise = lfilter([np.sqrt(1 - slow**2)], [1, -slow], draws, axis=0)
+    variance = (1 - fast) / (1 + fast) * (1 + slow * fast) / (1 - slow * fast)
+    return lfilter([1 - fast], [1, -fast], noise, axis=0)[n_before:] / np.sqrt(variance)
 
 
 def _availability(n: int, gps: Gps, rng: np.random.Generator) -> np.ndarray:

@@ -310,7 +310,7 @@ def build_street(
     clutter: float = 1.0,
     n_rounds: int = 1,
     time_span_s: tuple[float, float] | None = None,
-    block: int | None = None,
+    block: int | tuple[int, int] | None = None,
     crs: str = CITY_CRS,
     origin: tuple[float, float, float] = CITY_ORIGIN,
     day: Day | None = None,
@@ -329,7 +329,8 @@ def build_street(
         clutter: how closely furniture stands on the sidewalks; 1 is a European main street.
         n_rounds: how often the mapping vehicle drives every road in both directions.
         time_span_s: during which actors move; by default as long as those drives take, and 10 s before.
-        block: number of the block to build, with a margin of 25 m of its neighbours; None builds the whole street.
+        block: number of the block to build, or of the first and the last of several, with a margin of 25 m of their neighbours;
+            None builds the whole street.
         crs: of the map.
         origin: easting, northing, height of the train street's start; the other splits' streets lie 20 km apart.
         day: how the street differs from the one that is mapped; None is the day of the map.
@@ -345,7 +346,8 @@ def build_street(
     if not 0 <= max_slope <= 0.15:
         raise BadInput("max_slope", f"a slope of {max_slope}", "use 0 to 0.15 (rise per metre)")
     n = count_blocks(length_m)
-    if block is not None and not 0 <= block < n:
+    first, last = (0, n - 1) if block is None else (block, block) if isinstance(block, int) else block
+    if not 0 <= first <= last < n:
         raise BadInput("block", f"block {block} of a street of {n} blocks", f"use 0 to {n - 1}")
     size = length_m / n
     number = _SPLIT_NUMBERS[split]
@@ -353,7 +355,6 @@ def build_street(
     axis_rng = np.random.default_rng([seed, code, 10])
     axis = terrain.draw_axis(length_m, max_slope, relief_m, (origin[0] + 20_000.0 * number, origin[1], origin[2]), axis_rng)
 
-    first, last = (0, n - 1) if block is None else (block, block)
     a, b = first * size, (last + 1) * size
     plans = []
     for i in range(first - 1, last + 2):

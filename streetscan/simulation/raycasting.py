@@ -4,7 +4,10 @@ An actor's mesh never moves: the ray is carried into the actor's frame at the ra
 sensor sees the scene as it was when the pulse left. Float32 rays are relative to a local origin (0.1 mm steps at 1 km).
 """
 
+import os
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import cached_property
 
 import numba
 import numpy as np
@@ -17,6 +20,10 @@ from streetscan.simulation.scene import Actor, Mesh, Scene, join_meshes
 MOVING_SPEED_MPS = 0.3
 # Consecutive rays tested together against an actor; at 1-2 mrad between pulses a fan of some 5 degrees.
 _BLOCK_RAYS = 64
+# Poses of all actors are looked up anew after this time; between, their top speeds bound where they are.
+_KEPT_POSES_S = 0.002
+# Rays one thread looks after at a time.
+_PART_RAYS = 64 * 1024
 _TABLES = ("labels", "instances", "materials", "colours")
 
 
@@ -40,6 +47,26 @@ class Hits:
         return len(self.faces)
 
 
+@dataclass
+class OwnFrames:
+    """Frames in which objects keep their shape and their pattern, whatever moves.
+
+    A moving actor's frame is its own. What stands still has its lowest corner as origin and the map's axes, an actor that
+    stands its own frame, the ground (instance 0) the map's.
+
+    Attributes:
+        normals: (T, 3) float32 unit normals, in the actor's frame for moving actors, in `map` otherwise.
+        numbers: (T,) int32 row of `poses` of each triangle.
+        poses: (F, 4) float64 x, y, z relative to the caster's origin, and yaw in radians; of moving actors zeros.
+        seeds: (F,) int64, the object's instance.
+    """
+
+    normals: np.ndarray
+    numbers: np.ndarray
+    poses: np.ndarray
+    seeds: np.ndarray
+
+
 class SceneCaster:
     """Casts rays into a scene during one span of time.
 
@@ -50,6 +77,7 @@ class SceneCaster:
     Attributes:
         origin: (3,) float64, the local origin, frame `map`.
         moving: the actors that move during the span.
+        paths: of the moving actors, for `path_pose`.
         labels, instances, materials, colours: of all triangles, rows as in `Hits.faces`.
     """
 
@@ -62,14 +90,20 @@ class SceneCaster:
         """
         moves = [_moves(a, start_s, end_s) for a in scene.actors]
         self.moving = [a for a, m in zip(scene.actors, moves, strict=True) if m]
-        static = join_meshes([scene.static, *(_mesh_in_map(a, start_s) for a, m in zip(scene.actors, moves, strict=True) if not m)])
+        self._standing = [a for a, m in zip(scene.actors, moves, strict=True) if not m]
+        self._start_s = start_s
+        static = join_meshes([scene.static, *(_mesh_in_map(a, start_s) for a in self._standing)])
         self.origin = np.round((static.vertices.min(axis=0) + static.vertices.max(axis=0)) / 2)
         self._n_threads = n_threads
         self._n_static = len(static.triangles)
+        self._static_mesh = static
         self._static = _embree_scene(static.vertices - self.origin, static.triangles)
         meshes = [a.mesh for a in self.moving]
+        self.paths = np.zeros((0, 5)), np.zeros(1, np.int64)
         if self.moving:
             self._spheres = _bounding_spheres(meshes)
+            # A millimetre more on all sides, so that rounding loses no hit on an actor's outermost faces.
+            self._boxes = np.array([[*(m.vertices.min(axis=0) - 1e-3), *(m.vertices.max(axis=0) + 1e-3)] for m in meshes])
             self._cells = _gallery_cells(len(meshes), float(self._spheres[:, 3].max()))
             hung = [
                 Mesh(m.vertices + c, *(getattr(m, n) for n in ("triangles", *_TABLES))) for m, c in zip(meshes, self._cells, strict=True)
@@ -77,7 +111,7 @@ class SceneCaster:
             gallery = join_meshes(hung)
             self._gallery = _embree_scene(gallery.vertices, gallery.triangles)
             self._actor_of_face = np.repeat(np.arange(len(meshes), dtype=np.int16), [len(m.triangles) for m in meshes])
-            self._paths = _pack_paths(self.moving, self.origin)
+            self.paths = _pack_paths(self.moving, self.origin)
             self._top_speeds_mps = np.array([_top_speed_mps(a) for a in self.moving])
         self.labels, self.instances, self.materials, self.colours = (
             np.concatenate([getattr(m, n) for m in (static, *meshes)]) for n in _TABLES
@@ -98,6 +132,51 @@ class SceneCaster:
         if self.moving and len(rays):
             self._cast_actors(local, rays[:, 3:], np.asarray(times_s, np.float64), hits)
         return hits
+
+    def is_blocked(self, origins: np.ndarray, directions: np.ndarray, times_s: np.ndarray) -> np.ndarray:
+        """(n,) bool: whether rays, as those of `cast`, meet anything at all; half the price of `cast`."""
+        local = origins - self.origin
+        rays = np.concatenate([local.astype(np.float32), directions], axis=1, dtype=np.float32)
+        if len(rays) == 0:
+            return np.zeros(0, bool)
+        blocked = self._static.test_occlusions(o3d.core.Tensor.from_numpy(rays), nthreads=self._n_threads).numpy()
+        free = np.flatnonzero(~blocked)
+        if self.moving and len(free):
+            hits = Hits(np.full(len(free), np.inf, np.float32), *(np.full(len(free), -1, t) for t in (np.int32, np.int16, np.float32)))
+            self._cast_actors(local[free], rays[free, 3:], np.asarray(times_s, np.float64)[free], hits)
+            blocked[free] = hits.faces >= 0
+        return blocked
+
+    @cached_property
+    def own_frames(self) -> OwnFrames:
+        """The frames of all objects; made when first asked for."""
+        static, n_standing = self._static_mesh, [len(a.mesh.triangles) for a in self._standing]
+        normals = [_normals(m) for m in (static, *(a.mesh for a in self.moving))]
+        n_fixed = self._n_static - sum(n_standing)
+        seeds, numbers = np.unique(static.instances[:n_fixed], return_inverse=True)
+        corners = static.vertices[static.triangles[:n_fixed]].min(axis=1) - self.origin
+        lowest = np.full((len(seeds), 3), np.inf)
+        order = np.argsort(numbers, kind="stable")
+        if n_fixed:
+            lowest = np.minimum.reduceat(corners[order], np.searchsorted(numbers[order], np.arange(len(seeds))))
+        lowest[seeds == 0] = -self.origin
+        others = [*self._standing, *self.moving]
+        standing = [a.pose_at(np.array([np.clip(self._start_s, a.times_s[0], a.times_s[-1])])) for a in self._standing]
+        poses = np.concatenate(
+            [
+                np.column_stack([lowest, np.zeros(len(lowest))]),
+                *(np.column_stack([position - self.origin, yaw]) for position, yaw in standing),
+                np.zeros((len(self.moving), 4)),
+            ]
+        )
+        more = np.repeat(np.arange(len(others)) + len(seeds), [len(a.mesh.triangles) for a in others])
+        own_seeds = [int(a.mesh.instances[0]) if len(a.mesh.instances) else 0 for a in others]
+        return OwnFrames(
+            np.concatenate(normals),
+            np.concatenate([numbers, more]).astype(np.int32),
+            poses,
+            np.concatenate([seeds.astype(np.int64), np.array(own_seeds, np.int64)]),
+        )
 
     def speeds_mps(self, hits: Hits, times_s: np.ndarray) -> np.ndarray:
         """(n,) float32 speed of what each ray hit, at the ray's time; 0 for what stands still and where nothing is hit."""
@@ -128,9 +207,13 @@ class SceneCaster:
 
     def _cast_actors(self, local: np.ndarray, directions: np.ndarray, times_s: np.ndarray, hits: Hits) -> None:
         """Put the hits on moving actors into `hits` where they are nearer."""
-        rows, actors, entries, rays = _enter_gallery(
-            local, directions, times_s, hits.distances_m, *self._paths, self._spheres, self._cells, self._top_speeds_mps
-        )
+        tables = *self.paths, self._spheres, self._boxes, self._cells, self._top_speeds_mps
+        starts = range(0, len(local), _PART_RAYS)
+        parts = [tuple(v[i : i + _PART_RAYS] for v in (local, directions, times_s, hits.distances_m)) for i in starts]
+        with ThreadPoolExecutor(self._n_threads or os.cpu_count()) as pool:
+            entered = list(pool.map(lambda part: _enter_gallery(*part, *tables), parts))
+        rows = np.concatenate([e[0] + i for e, i in zip(entered, starts, strict=True)])
+        actors, entries, rays = (np.concatenate([e[k] for e in entered]) for k in (1, 2, 3))
         distances, faces, cosines = self._cast_tree(self._gallery, rays)
         distances += entries
         own = (faces >= 0) & (self._actor_of_face[faces] == actors) & (distances < hits.distances_m[rows])
@@ -143,7 +226,7 @@ class SceneCaster:
 
 
 @numba.njit(cache=True)
-def _pose(path, bounds, actor, time_s):
+def path_pose(path, bounds, actor, time_s):
     """x, y, z, yaw of an actor at a time, linear between samples, standing before and after."""
     low, high = bounds[actor], bounds[actor + 1] - 1
     if time_s <= path[low, 0]:
@@ -162,11 +245,27 @@ def _pose(path, bounds, actor, time_s):
 
 
 @numba.njit(cache=True)
-def _enter_gallery(origins, directions, times_s, limits_m, path, bounds, spheres, cells, top_speeds_mps):
+def _reaches_box(ox, oy, oz, dx, dy, dz, box, limit_m):
+    """Whether a ray meets a box before the limit."""
+    entry, leave = 0.0, np.inf
+    for k in range(3):
+        o, d = (ox, dx) if k == 0 else (oy, dy) if k == 1 else (oz, np.float64(dz))
+        if abs(d) < 1e-12:
+            if o < box[k] or o > box[k + 3]:
+                return False
+            continue
+        a, b = (box[k] - o) / d, (box[k + 3] - o) / d
+        entry, leave = max(entry, min(a, b)), min(leave, max(a, b))
+    return entry <= leave and entry < limit_m
+
+
+@numba.njit(cache=True, nogil=True)
+def _enter_gallery(origins, directions, times_s, limits_m, path, bounds, spheres, boxes, cells, top_speeds_mps):
     """Pairs of rays and actors they may meet before `limits_m`: rows, actors, distances to the sphere, rays in the gallery.
 
-    Fans of consecutive rays are tested against each actor's sphere first, then every ray of the fans that remain.
+    Fans of consecutive rays are tested against each actor's sphere first, then every ray of the fans that remain against its box.
     """
+    known_s, poses, middles = np.nan, np.empty((len(spheres), 5)), np.empty((len(spheres), 3))
     n, capacity, count = len(origins), 1024, 0
     rows, actors = np.empty(capacity, np.int64), np.empty(capacity, np.int16)
     entries, rays = np.empty(capacity, np.float32), np.empty((capacity, 6), np.float32)
@@ -185,14 +284,22 @@ def _enter_gallery(origins, directions, times_s, limits_m, path, bounds, spheres
             narrowest = min(narrowest, directions[r, 0] * axis[0] + directions[r, 1] * axis[1] + directions[r, 2] * axis[2])
         half_angle = np.arccos(max(narrowest, -1.0)) + 1e-4
         apex, spread = (low + high) / 2, np.sqrt(((high - low) ** 2).sum()) / 2
+        # Where the actors' middles were a moment ago tells enough to rule most of them out.
+        middle_s = (start_s + end_s) / 2
+        if not abs(middle_s - known_s) < _KEPT_POSES_S:
+            known_s = middle_s
+            for i in range(len(spheres)):
+                x, y, z, yaw = path_pose(path, bounds, i, known_s)
+                cos, sin = np.cos(yaw), np.sin(yaw)
+                poses[i, 0], poses[i, 1], poses[i, 2], poses[i, 3], poses[i, 4] = x, y, z, cos, sin
+                middles[i, 0] = x + cos * spheres[i, 0] - sin * spheres[i, 1]
+                middles[i, 1] = y + sin * spheres[i, 0] + cos * spheres[i, 1]
+                middles[i, 2] = z + spheres[i, 2]
+        late_s = abs(middle_s - known_s) + (end_s - start_s) / 2
         for i in range(len(spheres)):
-            x, y, z, yaw = _pose(path, bounds, i, (start_s + end_s) / 2)
-            cos, sin = np.cos(yaw), np.sin(yaw)
-            cx = x + cos * spheres[i, 0] - sin * spheres[i, 1] - apex[0]
-            cy = y + sin * spheres[i, 0] + cos * spheres[i, 1] - apex[1]
-            cz = z + spheres[i, 2] - apex[2]
+            cx, cy, cz = middles[i, 0] - apex[0], middles[i, 1] - apex[1], middles[i, 2] - apex[2]
             distance = np.sqrt(cx * cx + cy * cy + cz * cz)
-            reach = spheres[i, 3] + spread + top_speeds_mps[i] * (end_s - start_s) / 2 + 1e-3
+            reach = spheres[i, 3] + spread + top_speeds_mps[i] * late_s + 1e-3
             if distance - reach > farthest:
                 continue
             if distance > reach:
@@ -200,21 +307,19 @@ def _enter_gallery(origins, directions, times_s, limits_m, path, bounds, spheres
                 if angle - np.arcsin(reach / distance) > half_angle:
                     continue
             for r in range(first, last):
-                x, y, z, yaw = _pose(path, bounds, i, times_s[r])
-                cos, sin = np.cos(yaw), np.sin(yaw)
+                x, y, z, cos, sin = poses[i, 0], poses[i, 1], poses[i, 2], poses[i, 3], poses[i, 4]
+                if times_s[r] != known_s:
+                    x, y, z, yaw = path_pose(path, bounds, i, times_s[r])
+                    cos, sin = np.cos(yaw), np.sin(yaw)
                 ox, oy, oz = origins[r, 0] - x, origins[r, 1] - y, origins[r, 2] - z
                 ox, oy = cos * ox + sin * oy, -sin * ox + cos * oy
                 dx, dy, dz = directions[r, 0], directions[r, 1], directions[r, 2]
                 dx, dy = cos * dx + sin * dy, -sin * dx + cos * dy
+                if not _reaches_box(ox, oy, oz, dx, dy, dz, boxes[i], limits_m[r]):
+                    continue
                 tx, ty, tz = spheres[i, 0] - ox, spheres[i, 1] - oy, spheres[i, 2] - oz
                 along = tx * dx + ty * dy + tz * dz
-                inside = spheres[i, 3] ** 2 - (tx * tx + ty * ty + tz * tz - along * along)
-                if inside <= 0:
-                    continue
-                half = np.sqrt(inside)
-                entry = max(along - half, 0.0)
-                if along + half <= 0 or entry >= limits_m[r]:
-                    continue
+                entry = max(along - np.sqrt(max(spheres[i, 3] ** 2 - (tx * tx + ty * ty + tz * tz - along * along), 0.0)), 0.0)
                 if count == capacity:
                     capacity *= 2
                     rows, actors = _grown(rows, capacity), _grown(actors, capacity)
@@ -267,6 +372,13 @@ def _embree_scene(vertices: np.ndarray, triangles: np.ndarray) -> o3d.t.geometry
         o3d.core.Tensor.from_numpy(np.ascontiguousarray(triangles, np.uint32)),
     )
     return tree
+
+
+def _normals(mesh: Mesh) -> np.ndarray:
+    """(T, 3) float32 unit normals; of a triangle without area zeros."""
+    a, b, c = (mesh.vertices[mesh.triangles[:, i]] for i in range(3))
+    normals = np.cross(b - a, c - a)
+    return (normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)).astype(np.float32)
 
 
 def _rotate(vectors: np.ndarray, yaws_rad: np.ndarray) -> np.ndarray:

@@ -18,20 +18,17 @@ def labelled(tiny_world, tmp_path):
 
 def test_samples_point_to_voxels_of_their_class(labelled):
     grid, labels, folder = labelled
-    main(
-        folder / "voxels.npz", folder / "labels.npy", folder / "samples.npz", n_per_class=50, n_turns=2, seed=1, expected=["phantom", "car"]
-    )
+    main(folder / "voxels.npz", folder / "labels.npy", folder / "samples.npz", n_per_class=50, seed=1, expected=["phantom", "car"])
     samples = np.load(folder / "samples.npz")
     assert samples["keys"].dtype == np.int32
-    np.testing.assert_array_equal(np.bincount(samples["labels"]), np.full(9, 100))
+    np.testing.assert_array_equal(np.bincount(samples["labels"]), np.full(9, 50))
     np.testing.assert_array_equal(labels[grid.find(samples["keys"])], samples["labels"])
-    assert samples["turns"].max() <= 3
 
 
 def test_the_same_seed_writes_the_same_file(labelled):
     *_, folder = labelled
     for name, seed in (("a", 1), ("b", 1), ("c", 2)):
-        main(folder / "voxels.npz", folder / "labels.npy", folder / name, n_per_class=50, n_turns=1, seed=seed)
+        main(folder / "voxels.npz", folder / "labels.npy", folder / name, n_per_class=50, seed=seed)
     a, b, c = ((folder / name).read_bytes() for name in "abc")
     assert a == b
     assert a != c
@@ -41,9 +38,7 @@ def test_a_promised_class_that_is_missing_is_named(labelled):
     _, labels, folder = labelled
     np.save(folder / "labels.npy", np.where(labels == 4, 255, labels))
     with pytest.raises(BadInput, match="class pedestrian"):
-        main(
-            folder / "voxels.npz", folder / "labels.npy", folder / "s.npz", n_per_class=5, n_turns=1, seed=1, expected=["car", "pedestrian"]
-        )
+        main(folder / "voxels.npz", folder / "labels.npy", folder / "s.npz", n_per_class=5, seed=1, expected=["car", "pedestrian"])
     assert not (folder / "s.npz").exists()
 
 
@@ -51,4 +46,4 @@ def test_labels_of_other_voxels_are_refused(labelled):
     _, labels, folder = labelled
     np.save(folder / "labels.npy", labels[:-1])
     with pytest.raises(BadInput, match=r"labels\.npy"):
-        main(folder / "voxels.npz", folder / "labels.npy", folder / "samples.npz", n_per_class=5, n_turns=1, seed=1)
+        main(folder / "voxels.npz", folder / "labels.npy", folder / "samples.npz", n_per_class=5, seed=1)

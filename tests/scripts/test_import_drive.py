@@ -15,11 +15,14 @@ import pytest
 import velodyne_decoder as vd
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
+from packet_counts import count_all, nebula_count
 from scipy.spatial import cKDTree
 from toy_recordings import ROOT, SCHEMA, kitti_facts, ros_store, write_facts, write_kitti
 
 from scripts.import_drive import main
-from streetscan.io.mcap import iterate_lidar
+from streetscan.frames import GpsFix
+from streetscan.inspection import fix_track_m
+from streetscan.io.mcap import iterate_drive, iterate_lidar
 from streetscan.io.pcap import MODELS
 from streetscan.sweeps import deskew
 
@@ -113,9 +116,15 @@ def test_hdl32_capture(tmp_path, shared_data):
     independent = [len(p) for _, p in vd.read_pcap(shared_data / "velodyne_pcap" / "hdl32_example.pcap", config)]
     assert frames["n_points"].sum() == sum(independent)
     assert frames["status"].tolist() == ["partial", "ok", "ok", "ok", "ok", "partial"]
-    # 15 m/s along the car's axis: undoing it brings the two ends of a revolution, at the rear, together.
+    # Revolutions begin and end at the rear, forward is in their middle.
     whole = list(iterate_lidar(tmp_path / "drive.mcap"))[1:5]
     assert all(abs(f.time_offset_s.min() + f.time_offset_s.max()) < 2e-3 for f in whole)
+    # The receiver itself gives 28.8 and 29.5 knots (14.8 and 15.2 m/s) at its two fixes, which speak of whole seconds.
+    fixes = [r for r in iterate_drive(tmp_path / "drive.mcap", ("/gps",)) if isinstance(r, GpsFix)]
+    duration_s = (fixes[1].time_ns - fixes[0].time_ns) * 1e-9
+    assert duration_s == pytest.approx(1, abs=1e-3)
+    track = pd.DataFrame({"latitude_deg": [f.latitude_deg for f in fixes], "longitude_deg": [f.longitude_deg for f in fixes]})
+    assert np.linalg.norm(fix_track_m(track)[1]) / duration_s == pytest.approx(15.0, abs=0.3)
 
 
 @pytest.mark.parametrize(
@@ -128,23 +137,26 @@ def test_nebula(tmp_path, shared_data, name, folder, n_whole, model):
     folder = shared_data / "ros2bag_velodyne_nebula" / folder
     # The packets taken out of the SQLite file by hand and decoded scan by scan hold exactly as many points.
     with closing(sqlite3.connect(f"file:{next(folder.glob('*/*.db3'))}?immutable=1", uri=True)) as database:
-        scans = [row[0] for row in database.execute("SELECT data FROM messages ORDER BY timestamp")]
-    decoder, store, n_points = vd.ScanDecoder(vd.Config(model=MODELS[model], max_range=300)), ros_store(), 0
-    for data in scans:
+        scans = list(database.execute("SELECT timestamp, data FROM messages ORDER BY timestamp"))
+    decoder, store, n_points, messages = vd.ScanDecoder(vd.Config(model=MODELS[model], max_range=300)), ros_store(), 0, []
+    for _, data in scans:
         packets = store.deserialize_cdr(data, "velodyne_msgs/msg/VelodyneScan").packets
+        messages.append([p.data for p in packets])
         stamped = [vd.VelodynePacket(p.stamp.sec + p.stamp.nanosec * 1e-9, p.data.tobytes()) for p in packets]
         n_points += len(decoder.decode(vd.PacketVector(stamped))[1])
     assert frames["n_points"].sum() == n_points
-    # The other decoder's truth is one of its revolutions. It leaves out the 4 cm between the axis and the lasers, which is
-    # 5 cm at most, and takes azimuths 0.2 degrees otherwise.
-    truth = pypcd4.PointCloud.from_path(next(folder.glob("*.pcd"))).numpy(("x", "y", "z"))
+    # So do the bytes of the packets, counted without any decoder.
+    assert frames["n_points"].sum() == sum(count_all(packet) for message in messages for packet in message)
+    # Nebula's truth is the cloud of one message: exactly those bytes, less what its settings leave out.
+    path = next(folder.glob("*.pcd"))
+    truth = pypcd4.PointCloud.from_path(path).numpy(("x", "y", "z"))
+    assert len(truth) == nebula_count(messages, [str(time_ns) for time_ns, _ in scans].index(path.stem), model)
+    # Its points are ours. It leaves out the 4 cm between the axis and the lasers, which is 5 cm at most, and takes azimuths 0.2 degrees
+    # otherwise.
     ours = np.concatenate([f.points for f in iterate_lidar(tmp_path / "drive.mcap")])
     sample = truth[:: max(len(truth) // 5000, 1)]
     distances, _ = cKDTree(ours).query(sample)
     assert (distances < 0.05 + np.radians(0.2) * np.linalg.norm(sample, axis=1)).mean() > 0.998
-    # It cuts revolutions in front and drops a few returns at the cut.
-    whole = frames.loc[frames["status"] == "ok", "n_points"]
-    assert np.abs(whole / len(truth) - 1).min() < 0.006
 
 
 def test_de_skewed_scans_fit_better(tmp_path, shared_data):

@@ -4,10 +4,11 @@ from html.parser import HTMLParser
 
 import cv2
 import numpy as np
-from toy_recordings import ROOT, SCHEMA, kitti_facts, write_facts, write_kitti
+from toy_recordings import ROOT, SCHEMA, kitti_facts, vlp16_packets, write_facts, write_kitti, write_pcap
 
 from scripts.import_drive import main as import_main
 from scripts.inspect_drive import main
+from streetscan.inspection import inspect_drive
 
 
 class Checker(HTMLParser):
@@ -66,10 +67,29 @@ def test_a_drive_with_nothing_but_points(tmp_path):
         "lidar": {"files": "velodyne_points/data/*.bin"},
     }
     page = sheet(tmp_path, write_facts(tmp_path / "toy.yaml", facts), tmp_path, "toy")
-    assert "none: there is no /gps" in page.texts
+    assert {"none: there is no /gps", "none: there is no camera"} <= set(page.texts)
     assert len(page.images) == 2
 
 
 def test_a_real_drive(tmp_path, shared_data):
     page = sheet(tmp_path, ROOT / "config" / "drives" / "hdl32_capture.yaml", shared_data, "hdl32_capture")
     assert "6 (4 ok, 2 partial)" in page.texts
+
+
+def test_an_image_of_another_place_is_not_shown(tmp_path):
+    """Frame 1 has no image: neither its neighbours', 0.1 s away, nor points drawn into them."""
+    folder = write_kitti(tmp_path / "drive", 3)
+    (folder / "image_02" / "data" / "0000000001.png").unlink()
+    page = sheet(tmp_path, write_facts(tmp_path / "toy.yaml", kitti_facts()), tmp_path, "toy")
+    captions = [t for t in page.texts if t.startswith("Image of frame")]
+    assert [c.split(" (")[0] for c in captions] == ["Image of frame 0", "Image of frame 2"]
+    assert "2 ok, 1 missing" in page.texts
+
+
+def test_whole_frames_are_shown_as_wide_as_they_are(tmp_path):
+    capture = write_pcap(tmp_path / "a.pcap", vlp16_packets(4.5, first_deg=90, range_m=7.0))
+    facts = {"description": "d", "source": "s", "reader": "pcap", "root": capture.name, "rate_hz": 10, "lidar": {"model": "vlp16"}}
+    page = sheet(tmp_path, write_facts(tmp_path / "toy.yaml", facts), tmp_path, "toy")
+    assert "6 (4 ok, 2 partial)" in page.texts
+    assert any("10 m to each side" in t for t in page.texts)
+    assert sorted(inspect_drive(tmp_path / "drive.mcap", tmp_path / "frames.csv", tmp_path / "truth").pictured) == [1, 3, 4]

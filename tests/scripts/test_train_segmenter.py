@@ -21,10 +21,10 @@ def inputs(tiny_world, tmp_path):
     grid = voxelize([tiny_world.cloud.points], 0.2)
     grid.height_m = (grid.mean_z_m - tiny_world.ground_z_m(grid.centres)).astype(np.float32)
     labels = vote_labels(grid, [(tiny_world.cloud.points, tiny_world.labels)])
-    rows, sample_labels, turns = draw_samples(labels, 60, 2, np.random.default_rng(1))
+    rows, sample_labels = draw_samples(labels, 60, np.random.default_rng(1))
     grid.save(tmp_path / "voxels.npz")
     save_npy(tmp_path / "labels.npy", labels)
-    save_npz(tmp_path / "samples.npz", keys=grid.keys[rows], labels=sample_labels, turns=turns)
+    save_npz(tmp_path / "samples.npz", keys=grid.keys[rows], labels=sample_labels)
     part = [tmp_path / "voxels.npz", tmp_path / "samples.npz"]
     return {"training": part, "validation": part, "labels": tmp_path / "labels.npy", "initial": []}
 

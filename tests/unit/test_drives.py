@@ -8,12 +8,13 @@ import pandas as pd
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from mcap.reader import make_reader
 from toy_recordings import ROOT, SCHEMA, START_NS, Messages, kitti_facts, png, revolution, ros_store, write_bag, write_facts, write_kitti
 
 from streetscan import geometry
 from streetscan.drives import FRAME_COLUMNS, Recording, import_drive, read_drive_facts
 from streetscan.errors import BadInput
-from streetscan.frames import STATUSES, CameraImage, LidarFrame
+from streetscan.frames import STATUSES, CameraImage, CameraModel, LidarFrame
 from streetscan.inspection import inspect_drive, project_points
 from streetscan.io.mcap import iterate_drive, iterate_lidar, open_drive_writer
 from streetscan.io.pcd_sequence import write_pcd_frame
@@ -243,6 +244,51 @@ def test_a_bag(tmp_path):
     assert next(iterate_lidar(tmp_path / "drive.mcap")).intensity.max() <= 1
 
 
+def test_a_bag_whose_first_message_is_the_cameras(tmp_path):
+    """Intrinsics before the first cloud, and again with every image: written once, at the time of what follows."""
+    make, items = Messages(ros_store()), []
+    for i in range(3):
+        points, _, _ = revolution(seed=i)
+        stamp = START_NS + i * 100_000_000
+        items.append(("/info", stamp, make.camera_info(stamp, "equidistant", [0.01, 0.0, 0.0, 0.0])))
+        items.append(("/points", stamp, make.cloud(stamp, {"x": points[:, 0], "y": points[:, 1], "z": points[:, 2]})))
+        items.append(("/image", stamp, make.compressed(stamp, png(i))))
+    write_bag(tmp_path / "bag", items)
+    facts = {
+        "description": "d", "source": "s", "reader": "bag", "root": "bag", "rate_hz": 10, "lidar": {"topic": "/points"},
+        "camera": {"topic": "/image", "info_topic": "/info"},
+        "mounting": [{"parent": "vehicle", "child": "lidar", "xyz_m": [0.8, 0, 1.7], "rpy_deg": [0, 0, 0], "source": "tape"}],
+    }  # fmt: skip
+    assert run(tmp_path, facts)[0] == {"ok": 3}
+    records = list(iterate_drive(tmp_path / "drive.mcap"))
+    assert [type(r).__name__ for r in records[:2]] == ["Mounting", "CameraModel"]
+    models = [r for r in records if isinstance(r, CameraModel)]
+    assert len(models) == 1
+    # ROS calls this model of a fisheye lens by another name.
+    assert models[0].distortion_model == "kannala_brandt"
+    with (tmp_path / "drive.mcap").open("rb") as stream:
+        assert make_reader(stream).get_summary().statistics.message_start_time == START_NS
+
+
+def test_damaged_labels_leave_the_frame(tmp_path, kitti):
+    (kitti / "labels").mkdir()
+    for i in range(5):
+        (kitti / "labels" / f"{i:06d}.label").write_bytes(np.arange(360, dtype="<u4").tobytes()[: -2 if i == 2 else None])
+    facts = kitti_facts()
+    facts["truth"]["labels"] = {"files": "labels/*.label", "ids": "semantickitti"}
+    assert run(tmp_path, facts)[0] == {"ok": 4, "labels_do_not_fit": 1}
+
+
+def test_nothing_is_left_when_the_truth_cannot_be_written(tmp_path, kitti, monkeypatch):
+    def fail(*_):
+        raise OSError("No space left on device")
+
+    monkeypatch.setattr("streetscan.drives.trajectories.write_tum", fail)
+    with pytest.raises(OSError, match="No space"):
+        run(tmp_path, kitti_facts())
+    assert {p.name for p in tmp_path.iterdir()} == {"drive", "toy.yaml"}
+
+
 def test_a_drive_is_imported_as_it_is(tmp_path, kitti):
     run(tmp_path, kitti_facts())
     (tmp_path / "drive.mcap").rename(tmp_path / "copy.mcap")
@@ -305,6 +351,14 @@ def test_not_one_usable_frame(tmp_path, kitti):
         ({"mounting": [{"parent": "vehicle", "child": "lidar", "xyz_m": [0, 0], "rpy_deg": [0, 0, 0], "source": ""}]}, "xyz_m"),
         ({"truth": {"poses": {"format": "kitti", "source": "s"}}}, r"truth\.poses\.file"),
         ({"crs": None}, "crs"),
+        ({"rate_hz": float("nan")}, "rate_hz is no finite number"),
+        ({"start_time_s": 1.5e18}, "start_time_s"),
+        ({"camera": {"files": "*.png", "stamp_offset_s": float("inf")}}, r"camera\.stamp_offset_s is no finite number"),
+        (
+            {"mounting": [{"parent": "vehicle", "child": "lidar", "xyz_m": [0, 0, float("nan")], "rpy_deg": [0, 0, 0], "source": ""}]},
+            r"0\.xyz_m\.2",
+        ),
+        ({"camera": {"files": "*.png", "info_topic": "/info"}}, r"camera\.info_topic"),
     ],
 )
 def test_wrong_keys_are_named(tmp_path, change, found):
@@ -316,6 +370,48 @@ def test_no_yaml_at_all(tmp_path):
     (tmp_path / "toy.yaml").write_text("a: [")
     with pytest.raises(BadInput, match="YAML"):
         read_drive_facts(tmp_path / "toy.yaml", SCHEMA)
+
+
+@pytest.mark.parametrize(
+    ("change", "found"),
+    [
+        ({"D": [0.1, 0.2, 0.3]}, r"D = \[0\.1, 0\.2, 0\.3\] for distortion model 'plumb_bob'; give 0 or 4 or 5"),
+        ({"D": [0.1] * 5, "distortion_model": "kannala_brandt"}, "give 0 or 4 finite"),
+        ({"K": [50, 0, 32, 0, 50, 16, 0, 0, 2]}, "no camera matrix"),
+    ],
+)
+def test_a_calibration_that_is_none(tmp_path, kitti, change, found):
+    calibration = {"width": 64, "height": 32, "K": [50, 0, 31.5, 0, 50, 15.5, 0, 0, 1]} | change
+    with pytest.raises(BadInput, match=rf"toy\.yaml, camera\.calibration: .*{found}"):
+        run(tmp_path, kitti_facts(camera={"files": "image_02/data/*.png", "calibration": calibration}))
+
+
+@pytest.mark.parametrize(
+    ("text", "found"),
+    [
+        ("frame,time_s\n0,1\n1,\n2,3\n3,4\n4,5\n", "row 1 holds no time_s"),
+        ("frame,time_s\n0,1\n2,2\n3,3\n4,4\n5,5\n", "does not count"),
+        ("1\n2\nnan\n4\n5\n", "NaN"),
+    ],
+)
+def test_lists_of_times_that_are_none(tmp_path, kitti, text, found):
+    (kitti / "times.csv").write_text(text)
+    with pytest.raises(BadInput, match=rf"times\.csv: no list of times .*{found}"):
+        run(tmp_path, kitti_facts(lidar={"files": "velodyne_points/data/*.bin", "times": "times.csv"}))
+
+
+def test_a_list_of_times_with_a_byte_order_mark(tmp_path, kitti):
+    (kitti / "times.txt").write_bytes(b"\xef\xbb\xbf1\n2\n3\n4\n5\n")
+    _, frames = run(tmp_path, kitti_facts(lidar={"files": "velodyne_points/data/*.bin", "times": "times.txt"}))
+    assert frames["time_s"].tolist() == [1, 2, 3, 4, 5]
+
+
+def test_revolutions_that_end_before_they_start(tmp_path, kitti):
+    for name, offset in (("middle", 0.0), ("start", 0.05), ("end", -0.05)):
+        (kitti / f"{name}.txt").write_text("".join(f"{1 + i + offset}\n" for i in range(5)))
+    lidar = {"files": "velodyne_points/data/*.bin", "times": "middle.txt", "times_start": "start.txt", "times_end": "end.txt"}
+    with pytest.raises(BadInput, match="row 0 of the three lists is not in the order start, forward, end"):
+        run(tmp_path, kitti_facts(lidar=lidar))
 
 
 @pytest.mark.parametrize("path", sorted((ROOT / "config" / "drives").rglob("*.yaml")), ids=lambda p: p.stem)
@@ -491,3 +587,9 @@ def test_missing_labels_and_images_of_another_size_are_said(tmp_path, kitti, cap
     assert "1 of 5 frames hold points and have no true labels" in caplog.text
     assert "1 images are of another size" in caplog.text
     assert frames["image_status"].tolist() == ["ok", "other_size", "ok", "ok", "ok"]
+
+
+def test_a_folder_nobody_may_read(tmp_path, kitti, monkeypatch):
+    monkeypatch.setattr("streetscan.io.files.os.access", lambda *_: False)
+    with pytest.raises(BadInput, match="drive: must not be read by you"):
+        run(tmp_path, kitti_facts())

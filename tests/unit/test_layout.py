@@ -219,6 +219,10 @@ def test_blocks_of_a_long_street_fit_together():
     for i in common:
         a, b = (m.vertices[np.unique(m.triangles[m.instances == i])] for m in (first.static, second.static))
         assert np.array_equal(a, b)
+    # Two blocks in one piece: their objects are those of each alone.
+    both = build_street(**settings, block=(0, 1))
+    assert np.allclose(both.roads[0][[0, -1]], [first.roads[0][0], second.roads[0][-1]])
+    assert set(np.unique(first.static.instances[first.static.instances % 100_000 > 999])) <= set(np.unique(both.static.instances))
     # Blocks other than neighbours share nothing.
     third = build_street(**settings, block=2)
     ids = np.intersect1d(first.static.instances, third.static.instances)

@@ -22,7 +22,9 @@ def frame(i=0, n=360, **changes):
 
 @pytest.fixture
 def drive(tmp_path):
-    model = CameraModel(64, 32, np.array([[50.0, 0, 31.5], [0, 50, 15.5], [0, 0, 1]]), np.array([0.1, -0.2]), "plumb_bob", np.eye(3, 4))
+    model = CameraModel(
+        64, 32, np.array([[50.0, 0, 31.5], [0, 50, 15.5], [0, 0, 1]]), np.array([0.1, -0.2, 0.0, 0.001]), "plumb_bob", np.eye(3, 4)
+    )
     with mcap.open_drive_writer(tmp_path / "drive.mcap") as writer:
         writer.write_mounting(Mounting("vehicle", "lidar", geometry.transform([1, 2, 3], [0.1, 0.2, 0.3])), START_NS)
         writer.write_calibration(model, START_NS)
@@ -51,7 +53,7 @@ def test_everything_comes_back_exactly(drive):
     np.testing.assert_allclose(mounting.T_parent_child, geometry.transform([1, 2, 3], [0.1, 0.2, 0.3]), atol=1e-12)
     model = mcap.read_camera_model(drive)
     assert (model.width, model.height, model.distortion_model) == (64, 32, "plumb_bob")
-    np.testing.assert_array_equal(model.D, [0.1, -0.2])
+    np.testing.assert_array_equal(model.D, [0.1, -0.2, 0.0, 0.001])
 
 
 def test_schemas_index_and_checksums(drive):

@@ -20,6 +20,10 @@ def frames_of(path, model="vlp16", **settings):
     return [r for r in iterate_pcap(path, PacketDecoder(model, **settings)) if isinstance(r, LidarFrame)]
 
 
+def fixes_of(path):
+    return [r for r in iterate_pcap(path, PacketDecoder("vlp16")) if isinstance(r, GpsFix)]
+
+
 def test_revolutions_start_at_the_rear_and_are_stamped_forward(tmp_path):
     frames = frames_of(write_pcap(tmp_path / "a.pcap", vlp16_packets(3)))
     assert [f.status for f in frames] == ["ok"] * 3
@@ -70,12 +74,23 @@ def test_positions_come_once_per_sentence(tmp_path):
     mixed = (
         [(packets[0][0], position_packet(SENTENCE))] * 2 + packets + [(packets[-1][0], position_packet(SENTENCE.replace("4900", "4800")))]
     )
-    fixes = [r for r in iterate_pcap(write_pcap(tmp_path / "a.pcap", mixed), PacketDecoder("vlp16")) if isinstance(r, GpsFix)]
+    fixes = fixes_of(write_pcap(tmp_path / "a.pcap", mixed))
     assert [(round(f.latitude_deg, 6), round(f.longitude_deg, 6)) for f in fixes] == [(49.0, 8.5), (48.0, 8.5)]
     assert fixes[0].altitude_m == pytest.approx(120.5 + 46.9)
 
 
-@pytest.mark.parametrize("n_cut", [1, 500, 1200, 1247, 1255])
+@pytest.mark.parametrize(("clock_s", "age_s"), [(1.5, 1.5), (0.2, 0.2), (700.0, 0.0)])
+def test_a_fix_is_stamped_with_the_moment_it_speaks_of(tmp_path, clock_s, age_s):
+    """The sentence is of 12:00:00; the sensor's clock, set by the receiver, says how old it is. A clock of its own says nothing."""
+    packet = bytearray(position_packet(SENTENCE))
+    packet[198:202] = struct.pack("<I", round(clock_s * 1e6))
+    packets = vlp16_packets(1)
+    fix = fixes_of(write_pcap(tmp_path / "a.pcap", [*packets, (packets[-1][0], bytes(packet))]))[0]
+    assert packets[-1][0] - fix.time_ns * 1e-9 == pytest.approx(age_s, abs=1e-5)
+
+
+# One byte each of: data, UDP header, IP header, Ethernet header, the record's own header.
+@pytest.mark.parametrize("n_cut", [1, 500, 1200, 1207, 1213, 1230, 1241, 1247, 1255])
 def test_cut_within_a_packet(tmp_path, n_cut):
     path = write_pcap(tmp_path / "a.pcap", vlp16_packets(2))
     path.write_bytes(path.read_bytes()[:-n_cut])
@@ -104,7 +119,7 @@ def test_what_is_no_capture_of_the_sensor(tmp_path, content, found):
 
 def test_another_model_is_said(tmp_path):
     path = write_pcap(tmp_path / "a.pcap", vlp16_packets(1))
-    with pytest.raises(BadInput, match="model"):
+    with pytest.raises(BadInput, match=r"packets of vlp16, not of 'hdl32e'; correct lidar\.model"):
         frames_of(path, "hdl32e")
     with pytest.raises(BadInput, match="no Velodyne we know"):
         PacketDecoder("hdl999")
@@ -128,13 +143,18 @@ def hdl64_packet(azimuth_deg, range_m):
     return data + struct.pack("<IBB", 0, 0, 0)
 
 
-def test_a_units_own_calibration_is_used(tmp_path):
-    """Every beam of the made unit points 10 degrees down; the bundled tables would spread them."""
+def write_unit(path, n_lasers, elevation_rad=0.0):
+    """A calibration whose beams all point alike."""
     zeros = ("rot_correction", "dist_correction", "dist_correction_x", "dist_correction_y", "vert_offset_correction")
     zeros += ("horiz_offset_correction", "focal_distance", "focal_slope")
-    laser = dict.fromkeys(zeros, 0.0) | {"vert_correction": -np.radians(10).item(), "min_intensity": 0, "max_intensity": 255}
-    lasers = [laser | {"laser_id": i} for i in range(64)]
-    (tmp_path / "unit.yaml").write_text(yaml.safe_dump({"lasers": lasers, "num_lasers": 64, "distance_resolution": 0.002}))
+    laser = dict.fromkeys(zeros, 0.0) | {"vert_correction": elevation_rad, "min_intensity": 0, "max_intensity": 255}
+    lasers = [laser | {"laser_id": i} for i in range(n_lasers)]
+    path.write_text(yaml.safe_dump({"lasers": lasers, "num_lasers": n_lasers, "distance_resolution": 0.002}))
+
+
+def test_a_units_own_calibration_is_used(tmp_path):
+    """Every beam of the made unit points 10 degrees down; the bundled tables would spread them."""
+    write_unit(tmp_path / "unit.yaml", 64, -np.radians(10).item())
     packets = [(START_NS * 1e-9 + i * 2.9e-4, hdl64_packet(180 + i * 6 * 0.17, 10.0)) for i in range(400)]
     frames = frames_of(write_pcap(tmp_path / "a.pcap", packets), "hdl64e_s3", calibration=tmp_path / "unit.yaml")
     assert frames[0].status == "ok"
@@ -212,10 +232,7 @@ def test_captures_of_any_card(tmp_path, link):
 
 
 def test_packets_of_another_sensor_are_no_hdl64(tmp_path):
-    laser = dict.fromkeys(("rot_correction", "dist_correction", "dist_correction_x", "dist_correction_y", "vert_offset_correction"), 0.0)
-    laser |= dict.fromkeys(("horiz_offset_correction", "focal_distance", "focal_slope", "vert_correction"), 0.0)
-    lasers = [laser | {"laser_id": i, "min_intensity": 0, "max_intensity": 255} for i in range(64)]
-    (tmp_path / "unit.yaml").write_text(yaml.safe_dump({"lasers": lasers, "num_lasers": 64, "distance_resolution": 0.002}))
+    write_unit(tmp_path / "unit.yaml", 64)
     path = write_pcap(tmp_path / "a.pcap", vlp16_packets(1))
     with pytest.raises(BadInput, match="another sensor"):
         frames_of(path, "hdl64e_s3", calibration=tmp_path / "unit.yaml")
@@ -230,3 +247,43 @@ def test_a_capture_nobody_may_read(tmp_path, monkeypatch):
     monkeypatch.setattr(type(path), "open", refuse)
     with pytest.raises(BadInput, match="Permission denied"):
         frames_of(path)
+
+
+def test_a_calibration_of_another_sensor(tmp_path):
+    write_unit(tmp_path / "unit.yaml", 32)
+    with pytest.raises(BadInput, match=r"unit\.yaml: has 32 lasers, a 'vlp16' has 16"):
+        PacketDecoder("vlp16", tmp_path / "unit.yaml")
+
+
+def test_an_ip_length_that_is_wrong_cuts_nothing(tmp_path):
+    """Old firmware writes the IP length of data packets into position packets."""
+    packets = vlp16_packets(2)
+    path = write_pcap(tmp_path / "a.pcap", [*packets[:30], (packets[30][0], position_packet(SENTENCE)), *packets[30:]])
+    right, wrong = struct.pack(">H", 512 + 28), struct.pack(">H", 1206 + 28)
+    data = path.read_bytes()
+    assert data.count(b"\x45\x00" + right) == 1
+    path.write_bytes(data.replace(b"\x45\x00" + right, b"\x45\x00" + wrong))
+    assert [f.status for f in frames_of(path)] == ["ok", "ok"]
+    assert len(fixes_of(path)) == 1
+
+
+def test_packets_captured_twice_are_taken_once(tmp_path, caplog):
+    packets = vlp16_packets(2)
+    with caplog.at_level("WARNING"):
+        frames = frames_of(write_pcap(tmp_path / "a.pcap", [p for packet in packets for p in (packet, packet)]))
+    assert sum(len(f) for f in frames) == 2 * 75 * 12 * 32
+    assert "150 of 300 packets repeat the one before" in caplog.text
+    assert "lost" not in caplog.text
+
+
+@pytest.mark.parametrize("n_revolutions", [2, 6])
+def test_a_record_of_absurd_length_ends_the_capture(tmp_path, caplog, n_revolutions):
+    path = write_pcap(tmp_path / "a.pcap", vlp16_packets(n_revolutions))
+    data = bytearray(path.read_bytes())
+    size = (len(data) - 24) // (75 * n_revolutions)
+    at = 24 + 100 * size
+    data[at + 8 : at + 12] = struct.pack("<I", 2**31)
+    path.write_bytes(data)
+    with caplog.at_level("WARNING"):
+        assert [f.status for f in frames_of(path)] == ["ok", "truncated"]
+    assert "damaged or cut after 100 packets" in caplog.text

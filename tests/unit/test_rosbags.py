@@ -263,3 +263,27 @@ def test_a_folder_that_lacks_its_metadata(tmp_path):
     (path / "metadata.yaml").unlink()
     with pytest.raises(BadInput, match=r"lacks the bag's metadata\.yaml beside toy\.db3"):
         read(path)
+
+
+def test_times_in_another_unit_are_said(tmp_path):
+    points, _, times = revolution()
+    columns = {"x": points[:, 0], "y": points[:, 1], "z": points[:, 2], "time": ((times + PERIOD_S / 2) * 1e6).astype(np.float32)}
+    path = write_bag(tmp_path / "toy", [("/points", START_NS, Messages(ros_store()).cloud(START_NS, columns))])
+    with pytest.raises(BadInput, match=r"times \('time'\) lie .* apart, in revolutions of 0\.1 s; write their unit as lidar\.time_unit_s"):
+        read(path, ("/points",))
+
+
+@pytest.mark.parametrize(
+    ("model", "D", "found"), [("double_sphere", [0.1, 0.2], "'double_sphere'"), ("plumb_bob", [0.1, 0.2, 0.3], "give 0 or 4 or 5")]
+)
+def test_intrinsics_nobody_can_use(tmp_path, model, D, found):
+    info = Messages(ros_store()).camera_info(START_NS, model, D)
+    with pytest.raises(BadInput, match=found):
+        read(write_bag(tmp_path / "toy", [("/info", START_NS, info)]), ("/info",))
+
+
+def test_places_that_are_not_on_earth_are_no_fixes(tmp_path):
+    make = Messages(ros_store())
+    fixes = [make.fix(START_NS + i, latitude, 8.4, 1.0) for i, latitude in enumerate((49.0, 91.0, np.nan))]
+    path = write_bag(tmp_path / "toy", [("/fix", START_NS + i, fix) for i, fix in enumerate(fixes)])
+    assert [r.latitude_deg for r in read(path, ("/fix",))[0]] == [49.0]

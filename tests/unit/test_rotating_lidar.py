@@ -15,7 +15,8 @@ from streetscan.simulation.rotating_lidar import HDL64E_RECEIVER, Beams, Rotatin
 from streetscan.simulation.scene import Actor, Mesh, Scene, join_meshes
 from streetscan.sweeps import deskew_along
 
-EXACT = Receiver(**HDL64E_RECEIVER | {"range_noise_m": 0.0, "n_subrays": 0, "dropout": 0.0, "fading_db": 0.0, "dark_range_m": 1000.0})
+NOTHING_LOST = {"n_subrays": 0, "dropout": 0.0, "fading_db": 0.0}
+EXACT = Receiver(**HDL64E_RECEIVER | NOTHING_LOST | {"range_noise_m": 0.0, "beam_divergence_mrad": 0.0, "dark_range_m": 1000.0})
 HEIGHT_M = 1.73
 LEVEL = geometry.transform((0.8, 0, HEIGHT_M))
 
@@ -93,19 +94,19 @@ def test_a_still_sensor_measures_a_plane_to_the_millimetre(T):
     assert (frame.labels == FACADE).all()
 
 
-def test_a_moving_sensor_skews_a_plane_and_its_true_poses_undo_it_to_the_millimetre():
-    sensor, trajectory = lidar(), moving(15.0, 0.3)
-    caster = SceneCaster(Scene(plane(30.0)))
-    frame = record_frame(caster, sensor, trajectory, 2, 7)
-    stamp = sensor.stamp_s(2)
-    poses = poses_of(trajectory, sensor, stamp + frame.time_offset_s.astype(np.float64))
+@pytest.mark.parametrize("yaw_rate_radps", [0.0, 0.3])
+def test_a_moving_sensor_skews_a_plane_and_its_true_poses_undo_it_to_the_millimetre(yaw_rate_radps):
+    sensor, trajectory = lidar(), moving(15.0, yaw_rate_radps)
+    frame = record_frame(SceneCaster(Scene(plane(30.0))), sensor, trajectory, 2, 7)
+    stamp, offsets = sensor.stamp_s(2), frame.time_offset_s.astype(np.float64)
     # Every point lies on the plane from its own firing ...
+    poses = poses_of(trajectory, sensor, stamp + offsets)
     assert np.abs(geometry.apply(poses, frame.points)[:, 0] - 30.0).max() < 1e-3
-    # ... and off it by the motion since then from the stamp: 15 m/s over a quarter of a revolution.
+    # ... and, seen from the stamp, off it by the way driven in between.
     at_stamp = poses_of(trajectory, sensor, np.array([stamp]))[0]
-    raw = geometry.apply(at_stamp, frame.points)[:, 0] - 30.0
-    early = frame.time_offset_s < -0.015
-    assert raw[early].mean() > 0.2
+    if not yaw_rate_radps:
+        assert np.abs(geometry.apply(at_stamp, frame.points)[:, 0] - 30.0 + 15.0 * offsets).max() < 1e-3
+        assert offsets.min() < -0.015
     knots = np.arange(0.15, 0.35, 0.005)
     straight = deskew_along(frame.points, frame.time_offset_s, stamp, knots, poses_of(trajectory, sensor, knots))
     assert np.abs(geometry.apply(at_stamp, straight)[:, 0] - 30.0).max() < 1e-3
@@ -170,21 +171,22 @@ def test_a_tilted_sensor_sees_the_sky_and_little_road():
 
 
 def test_dark_things_are_seen_to_50_m_and_bright_ones_to_120():
-    """Józsa & Benedek (2013), 2.3: 50 m on 10 % and 120 m on 80 % reflectance."""
-    receiver = Receiver(**HDL64E_RECEIVER | {"fading_db": 0.0, "dropout": 0.0, "n_subrays": 0})
-    share = {}
-    for material, reflectance in (("paint_dark", 0.1), ("marking", 0.7)):
-        for x in (40.0, 60.0, 100.0, 125.0):
-            caster = SceneCaster(Scene(plane(x + 0.8, material=material, half_m=3.0)))
-            share[reflectance, x] = len(record_frame(caster, lidar(receiver), moving(0.0), 0, 7))
-    assert share[0.7, 100.0] > 50
-    assert share[0.7, 125.0] == 0
-    assert share[0.1, 60.0] == 0
+    """Józsa & Benedek (2013), 2.3: 50 m on 10 %, so 59 m on the 14 % of asphalt, and 120 m on 80 % reflectance."""
+    receiver = Receiver(**HDL64E_RECEIVER | NOTHING_LOST)
+
+    def n_seen(material, x_m):
+        caster = SceneCaster(Scene(plane(x_m + 0.8, material=material, half_m=3.0)))
+        return len(record_frame(caster, lidar(receiver), moving(0.0), 0, 7))
+
+    assert n_seen("asphalt", 58.0) > 200
+    assert n_seen("asphalt", 60.0) == 0
+    assert n_seen("plaster", 118.0) > 50
+    assert n_seen("plaster", 121.0) == 0
 
 
 def test_noise_drop_out_and_intensity_are_as_asked():
     caster = SceneCaster(Scene(plane(15.0)))
-    exact = record_frame(caster, lidar(), moving(0.0), 0, 7)
+    exact = record_frame(caster, lidar(Receiver(**HDL64E_RECEIVER | {"dropout": 0.0})), moving(0.0), 0, 7)
     real = record_frame(caster, lidar(Receiver(**HDL64E_RECEIVER)), moving(0.0), 0, 7)
     assert len(real) == pytest.approx(0.98 * len(exact), rel=0.005)
     directions = real.points / np.linalg.norm(real.points, axis=1, keepdims=True)
@@ -197,11 +199,11 @@ def test_noise_drop_out_and_intensity_are_as_asked():
 
 
 def test_edges_make_mixed_pixels():
-    post = box((10.0, -0.4, -1), (10.4, 0.4, 5), Surface(COLUMN, "plaster", (80, 80, 80)))
-    caster = SceneCaster(Scene(join_meshes([post, plane(10.9)])))
+    post = box((10.0, -0.4, -1), (10.1, 0.4, 5), Surface(COLUMN, "plaster", (80, 80, 80)))
+    caster = SceneCaster(Scene(join_meshes([post, plane(10.6)])))
     receiver = Receiver(**HDL64E_RECEIVER | {"range_noise_m": 0.0, "dropout": 0.0})
     x = geometry.apply(LEVEL, record_frame(caster, lidar(receiver), moving(0.0), 0, 7).points)[:, 0]
-    between = (x > 10.05) & (x < 10.85)
+    between = (x > 10.15) & (x < 10.55)
     assert 20 < between.sum() < 0.02 * len(x)
 
 

@@ -47,26 +47,17 @@ LABELS = np.repeat(np.array([GROUND, CAR, COLUMN, UNLABELLED], np.uint8), [500, 
 
 def test_as_many_of_each_class_as_there_are(caplog):
     with caplog.at_level(logging.INFO, logger="streetscan"):
-        rows, labels, turns = draw_samples(LABELS, 60, 1, np.random.default_rng(0), ["ground", "car"])
+        rows, labels = draw_samples(LABELS, 60, np.random.default_rng(0), ["ground", "car"])
     np.testing.assert_array_equal(np.bincount(labels), [60, 0, 0, 0, 0, 60, 0, 5])
     np.testing.assert_array_equal(LABELS[rows], labels)
     assert len(np.unique(rows)) == len(rows)
     assert "class column: 5 voxels of 60" in caplog.text
     assert "class pedestrian: 0 voxels of 60" in caplog.text
-    assert turns.max() <= 3
-    assert turns.dtype == labels.dtype == np.uint8
-
-
-def test_clones_are_turned_differently():
-    rows, labels, turns = draw_samples(LABELS, 50, 3, np.random.default_rng(0))
-    assert len(rows) == len(labels) == 3 * 105
-    assert len(np.unique(np.c_[rows, turns], axis=0)) == len(rows)
-    # All four turns occur about equally often.
-    assert np.bincount(turns).min() > 50
+    assert labels.dtype == np.uint8
 
 
 def test_the_seed_decides():
-    first, again, other = (draw_samples(LABELS, 50, 2, np.random.default_rng(seed)) for seed in (1, 1, 2))
+    first, again, other = (draw_samples(LABELS, 50, np.random.default_rng(seed)) for seed in (1, 1, 2))
     for a, b in zip(first, again, strict=True):
         np.testing.assert_array_equal(a, b)
     assert not np.array_equal(first[0], other[0])
@@ -78,12 +69,10 @@ def test_the_seed_decides():
         ({"expected": ["car", "tram_bus"]}, "class tram_bus: has no voxel"),
         ({"expected": ["lorry"]}, "'lorry'"),
         ({"n_per_class": 0}, "n_per_class"),
-        ({"n_turns": 5}, "n_turns"),
-        ({"n_turns": 0}, "n_turns"),
         ({"labels": np.full(3, UNLABELLED, np.uint8)}, "no labelled voxel"),
         ({"labels": np.empty(0, np.uint8)}, "no labelled voxel"),
     ],
 )
 def test_bad_settings_are_named(changes, message):
     with pytest.raises(BadInput, match=message):
-        draw_samples(**{"labels": LABELS, "n_per_class": 3, "n_turns": 1, "rng": np.random.default_rng(0)} | changes)
+        draw_samples(**{"labels": LABELS, "n_per_class": 3, "rng": np.random.default_rng(0)} | changes)

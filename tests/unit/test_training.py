@@ -29,7 +29,7 @@ def make_part(seed, settings=SETTINGS, n_per_class=150):
     height = (0.1 * (keys[:, 2] + 20)).astype(np.float32)
     grid = VoxelGrid(np.zeros(3), 0.1, keys.astype(np.int32), counts, height.astype(np.float64), height)
     rows = np.concatenate([rng.choice(np.flatnonzero(labels == c), n_per_class, replace=False) for c in (0, 1, 6)])
-    samples = Samples(grid.keys[rows], labels[rows], rng.integers(0, 4, len(rows)).astype(np.uint8))
+    samples = Samples(grid.keys[rows], labels[rows])
     return Part(grid, samples, settings, SCHEDULE.patch_voxels)
 
 
@@ -43,12 +43,11 @@ def other_part():
     return make_part(2)
 
 
-def test_runs_share_patch_and_turn_and_cover_every_sample_once(part):
+def test_runs_share_a_patch_and_cover_every_sample_once(part):
     runs = part.runs(8, 10_000, np.random.default_rng(0))
     assert sorted(np.concatenate(runs)) == list(range(len(part.samples)))
     for run in runs:
         assert 1 <= len(run) <= 8
-        assert len(np.unique(part.samples.turns[run])) == 1
         assert len(np.unique(part.samples.keys[run] // 15, axis=0)) == 1
 
 
@@ -62,11 +61,12 @@ def test_a_batch_gives_each_sample_the_logits_of_its_cube(k):
     settings = Settings(k=k, n_hidden=16)
     part = make_part(3, settings)
     runs = part.runs(5, 60, np.random.default_rng(0))
-    channels, coords, wanted, labels = part.batch(runs, 1.0, np.random.default_rng(0))
-    picked = np.concatenate(runs)
+    turns = np.random.default_rng(0).integers(4, size=len(runs))
+    channels, coords, wanted, labels = part.batch(runs, turns, 1.0, np.random.default_rng(0))
+    picked, cube_turns = np.concatenate(runs), np.repeat(turns, [len(run) for run in runs])
     np.testing.assert_array_equal(labels, part.samples.labels[picked])
     network = C2CNN(settings, 1)
-    cubes = extract_cubes(part.grid, part.channels, part.samples.keys[picked], part.samples.turns[picked], k)
+    cubes = extract_cubes(part.grid, part.channels, part.samples.keys[picked], cube_turns, k)
     with torch.no_grad():
         expected = network(torch.from_numpy(cubes)).numpy()
         ours = sparse_logits(network, channels, coords, wanted).numpy()
@@ -75,8 +75,9 @@ def test_a_batch_gives_each_sample_the_logits_of_its_cube(k):
 
 def test_thinning_keeps_the_samples_own_voxels_and_lowers_counts(part):
     runs = part.runs(8, 200, np.random.default_rng(0))
-    full, full_coords, wanted, _ = part.batch(runs, 1.0, np.random.default_rng(1))
-    thin, coords, _, _ = part.batch(runs, 0.1, np.random.default_rng(1))
+    turns = np.zeros(len(runs), np.int64)
+    full, full_coords, wanted, _ = part.batch(runs, turns, 1.0, np.random.default_rng(1))
+    thin, coords, _, _ = part.batch(runs, turns, 0.1, np.random.default_rng(1))
     assert set(map(tuple, wanted)) <= set(map(tuple, coords)) < set(map(tuple, full_coords))
     assert np.expm1(thin[:, 0]).sum() < np.expm1(full[:, 0]).sum()
 
@@ -184,7 +185,7 @@ def test_impossible_schedules_are_refused(wrong):
 
 
 def test_samples_must_fit_the_grid_and_the_network(part):
-    strangers = Samples(np.array([[500, 0, 0]], np.int32), np.zeros(1, np.uint8), np.zeros(1, np.uint8))
+    strangers = Samples(np.array([[500, 0, 0]], np.int32), np.zeros(1, np.uint8))
     with pytest.raises(BadInput, match="does not have"):
         Part(part.grid, strangers, SETTINGS, 9)
     with pytest.raises(BadInput, match=r"0\.2 m"):
@@ -193,10 +194,10 @@ def test_samples_must_fit_the_grid_and_the_network(part):
 
 def test_sample_files_are_checked(tmp_path):
     path = tmp_path / "samples.npz"
-    good = {"keys": np.zeros((2, 3), np.int32), "labels": np.array([0, 8], np.uint8), "turns": np.zeros(2, np.uint8)}
+    good = {"keys": np.zeros((2, 3), np.int32), "labels": np.array([0, 8], np.uint8)}
     np.savez(path, **good)
     assert len(Samples.load(path)) == 2
-    for wrong in ({"labels": np.array([0, 255], np.uint8)}, {"turns": np.zeros(3, np.uint8)}):
+    for wrong in ({"labels": np.array([0, 255], np.uint8)}, {"labels": np.zeros(3, np.uint8)}):
         np.savez(path, **(good | wrong))
         with pytest.raises(BadInput, match="samples"):
             Samples.load(path)

@@ -1,12 +1,13 @@
 """The workflow as a whole: lint, diagram, rules with logs and resources, re-runs after edits."""
 
 import re
+import shlex
 import shutil
 import subprocess
 import sys
 
 import pytest
-from dag import HOME, snakemake
+from dag import HOME, dry_run, snakemake
 
 
 def rules_text() -> dict[str, str]:
@@ -33,6 +34,17 @@ def test_diagram_in_readme_is_up_to_date():
 
 def test_plain_snakemake_runs_from_any_directory(tmp_path):
     assert snakemake("--dry-run", "--cores", "1", directory=tmp_path).returncode == 0
+
+
+def test_the_page_on_own_drives_computes_what_it_says(tmp_path):
+    """Each command of the page, for a ready-made drive: two jobs, and no simulated city on the way."""
+    text = (HOME / "docs" / "your_own_drive.md").read_text().replace("\\\n", " ")
+    commands = re.findall(r"^ *\.venv/bin/snakemake (.*)$", text, re.MULTILINE)
+    rules = []
+    for command in commands:
+        words = shlex.split(command.replace("<name>", "hdl32_capture").replace("<folder>", str(tmp_path)))
+        rules.append({job.rule for job in dry_run(*words, directory=tmp_path)})
+    assert rules == [{"import_drive", "inspect_drive"}, {"import_drive", "export_drive"}]
 
 
 def test_edit_of_the_deepest_import_runs_a_rule_again(tmp_path, tiny_scan):

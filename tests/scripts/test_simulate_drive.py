@@ -1,0 +1,258 @@
+"""simulate_drive on the tiny city: the form every drive has, exact truth beside it, and a run that was stopped."""
+
+import json
+
+import numpy as np
+import pandas as pd
+import pytest
+import yaml
+from mcap.reader import NonSeekingReader
+from mcap_protobuf.decoder import DecoderFactory
+from scipy.spatial import cKDTree
+from toy_recordings import ROOT, SCHEMA
+
+from scripts.simulate_drive import main
+from streetscan import geodesy, geometry
+from streetscan.classes import FACADE, GROUND
+from streetscan.drives import read_drive_facts
+from streetscan.errors import BadInput
+from streetscan.frames import CameraImage, GpsFix, LidarFrame, Mounting
+from streetscan.io.images import decode_image
+from streetscan.io.mcap import iterate_drive, iterate_lidar, read_camera_model
+from streetscan.io.trajectories import read_poses_csv, read_tum
+from streetscan.simulation import drives
+from streetscan.simulation.camera import project
+from streetscan.simulation.changes import Day
+from streetscan.simulation.layout import build_street
+
+FACTS = ROOT / "config" / "drives" / "city_tiny_main_road.yaml"
+TINY = yaml.safe_load((ROOT / "config" / "datasets" / "city_tiny.yaml").read_text())
+STREET = TINY["simulation"]["street"] | {"length_m": TINY["parts"]["test"]["length_m"], "crs": TINY["crs"]}
+
+
+def run(folder, facts=FACTS, seed=1):
+    folder.mkdir(exist_ok=True)
+    main(facts, SCHEMA, folder, "tiny", STREET, seed, 1, folder / "drive.mcap", folder / "frames.csv", folder / "truth")
+    return folder
+
+
+def write_changed(path, **changes):
+    facts = yaml.safe_load(FACTS.read_text())
+    facts["simulation"] |= changes
+    path.write_text(yaml.safe_dump(facts))
+    return path
+
+
+@pytest.fixture(scope="module")
+def drive(tmp_path_factory):
+    return run(tmp_path_factory.mktemp("tiny"))
+
+
+def test_frames_stamps_and_rings_are_a_velodynes(drive):
+    table, frames = pd.read_csv(drive / "frames.csv"), list(iterate_lidar(drive / "drive.mcap"))
+    assert (table["status"] == "ok").all()
+    assert table["n_points"].tolist() == [len(f) for f in frames]
+    assert 60_000 < table["n_points"].min() < table["n_points"].max() < 133_000
+    start_ns = yaml.safe_load(FACTS.read_text())["start_time_s"] * 10**9
+    assert [f.time_ns for f in frames] == [start_ns + 50_000_000 + k * 100_000_000 for k in range(6)]
+    for frame in frames:
+        assert -0.05 <= frame.time_offset_s.min() < -0.049
+        assert 0.049 < frame.time_offset_s.max() <= 0.05
+        # Azimuth 0 is met at the stamp, clockwise, each beam within its own offset.
+        azimuths = np.degrees(np.arctan2(frame.points[:, 1], frame.points[:, 0]))
+        assert np.degrees(np.abs(geometry.angle_difference(np.radians(azimuths), -2 * np.pi * 10 * frame.time_offset_s))).max() < 8
+        assert frame.ring.max() == 63
+
+
+def test_points_and_true_poses_meet_the_street(drive):
+    """Points carried into the map by the true trajectory lie on the meshes of their own instances."""
+    facts = read_drive_facts(FACTS, SCHEMA)
+    scene = build_street(split="test", seed=1, day=Day(**facts.simulation["day"]), time_span_s=(-10.0, 5.6), **STREET)
+    times_s, T_map_vehicle = read_tum(drive / "truth" / "trajectory.tum")
+    T_vehicle_lidar = np.array(yaml.safe_load((drive / "truth" / "truth.yaml").read_text())["mountings"]["T_vehicle_lidar"])
+    frame = next(iterate_lidar(drive / "drive.mcap"))
+    labels, instances = (np.load(drive / "truth" / kind / "000000.npy") for kind in ("labels", "instances"))
+    fired = frame.time_ns / 1e9 + frame.time_offset_s.astype(np.float64)
+    points = geometry.apply(geometry.interpolate_poses(fired, times_s, T_map_vehicle) @ T_vehicle_lidar, frame.points)
+    mesh = scene.static
+    for label in (GROUND, FACADE):
+        corners = mesh.vertices[mesh.triangles[mesh.labels == label]]
+        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+        _, near = cKDTree(corners.mean(axis=1)).query(points[labels == label], k=8)
+        offsets = np.einsum("nkj,nkj->nk", points[labels == label][:, None] - corners[near, 0], normals[near])
+        assert np.median(np.abs(offsets).min(axis=1)) < 0.02
+    stand = set(np.unique(mesh.instances)) | {int(i) for a in scene.actors for i in np.unique(a.mesh.instances)}
+    assert set(np.unique(instances)) <= stand
+
+
+def test_truth_is_complete_and_in_the_form_of_imported_drives(drive):
+    truth = drive / "truth"
+    content = yaml.safe_load((truth / "truth.yaml").read_text())
+    assert content["labels"]["ids"] == "streetscan"
+    assert content["poses"]["frame"] == "map"
+    _, _, poses = read_poses_csv(truth / "poses.csv")
+    times_s, trajectory = read_tum(truth / "trajectory.tum")
+    stamps = pd.read_csv(truth / "poses.csv")["time_s"].to_numpy()
+    expected = geometry.interpolate_poses(stamps, times_s, trajectory) @ np.array(content["mountings"]["T_vehicle_lidar"])
+    assert np.abs(expected[:, :3, 3] - poses[:, :3, 3]).max() < 1e-4
+    assert geometry.rotation_angle(geometry.invert(expected) @ poses).max() < 1e-5
+    for k, n in enumerate(pd.read_csv(drive / "frames.csv")["n_points"]):
+        for kind in ("labels", "instances"):
+            assert np.load(truth / kind / f"{k:06d}.npy").shape == (n,)
+    objects = pd.read_csv(truth / "objects.csv")
+    assert (objects["speed_mps"] > 1).any()
+    assert objects.groupby("frame").size().nunique() == 1
+    counts = json.loads((truth / "changes.json").read_text())
+    assert counts["column"]["share_same"] == 1.0
+
+
+def test_gps_is_wrong_but_not_absurd(drive):
+    records = list(iterate_drive(drive / "drive.mcap"))
+    fixes = [r for r in records if isinstance(r, GpsFix)]
+    assert [m.child for m in records if isinstance(m, Mounting)] == ["lidar", "gps"]
+    assert len(fixes) >= 2
+    xy = geodesy.project([f.latitude_deg for f in fixes], [f.longitude_deg for f in fixes], TINY["crs"])
+    _, _, poses = read_poses_csv(drive / "truth" / "poses.csv")
+    distances, _ = cKDTree(poses[:, :2, 3]).query(xy)
+    assert 0.1 < distances.max() < 11
+    yaw = np.degrees(geometry.rpy_of_transform(poses[0])[2])
+    heading = 90 - np.degrees(fixes[0].heading_rad)
+    assert abs((heading - yaw + 180) % 360 - 180) < 16
+
+
+def test_an_independent_reader_finds_every_message_and_checksum(drive):
+    names, n_points = {}, []
+    with (drive / "drive.mcap").open("rb") as stream:
+        for schema, channel, _, message in NonSeekingReader(stream, True, [DecoderFactory()]).iter_decoded_messages():
+            names[channel.topic] = schema.name
+            if channel.topic == "/lidar":
+                n_points.append(len(message.data) // message.point_stride)
+                assert [f.name for f in message.fields] == ["x", "y", "z", "intensity", "time_offset_s", "ring"]
+    assert names == {"/lidar": "foxglove.PointCloud", "/gps": "foxglove.LocationFix", "/tf": "foxglove.FrameTransform"}
+    assert n_points == pd.read_csv(drive / "frames.csv")["n_points"].tolist()
+
+
+def test_the_drives_file_tells_no_truth(drive):
+    lidar = next(m for m in iterate_drive(drive / "drive.mcap") if isinstance(m, Mounting))
+    truth = np.array(yaml.safe_load((drive / "truth" / "truth.yaml").read_text())["mountings"]["T_vehicle_lidar"])
+    assert not np.allclose(lidar.T_parent_child, truth, atol=1e-3)
+
+
+def test_a_drive_that_was_stopped_goes_on_and_comes_out_the_same(drive, tmp_path, monkeypatch):
+    made = []
+
+    def stop_after(n):
+        def record(*arguments):
+            if len(made) == n:
+                raise KeyboardInterrupt
+            made.append(arguments[3])
+            return original(*arguments)
+
+        return record
+
+    original = drives.record_frame
+    monkeypatch.setattr(drives, "record_frame", stop_after(4))
+    with pytest.raises(KeyboardInterrupt):
+        run(tmp_path)
+    assert not (tmp_path / "drive.mcap").exists()
+    made.clear()
+    monkeypatch.setattr(drives, "record_frame", stop_after(100))
+    run(tmp_path)
+    assert made == [4, 5]
+    assert (tmp_path / "drive.mcap").read_bytes() == (drive / "drive.mcap").read_bytes()
+    assert (tmp_path / "truth" / "objects.csv").read_bytes() == (drive / "truth" / "objects.csv").read_bytes()
+    assert not (tmp_path / "drive.mcap.resume").exists()
+
+
+def test_another_seed_is_another_drive(drive, tmp_path):
+    other = run(tmp_path, write_changed(tmp_path / "f.yaml", n_frames=1), seed=2)
+    a, b = (next(iterate_lidar(folder / "drive.mcap")) for folder in (drive, other))
+    assert isinstance(a, LidarFrame)
+    assert len(a) != len(b)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"place": "bridge"}, "place 'bridge' number 0 of a street that has 0"),
+        ({"n_frames": 600}, "600 frames take 60.0 s"),
+        ({"start_m": 200}, "start_m 200 on a line of 28 m"),
+    ],
+)
+def test_an_impossible_drive_is_refused(changes, message, tmp_path):
+    with pytest.raises(BadInput, match=message):
+        run(tmp_path, write_changed(tmp_path / "f.yaml", **changes))
+
+
+def test_a_drive_without_its_section_is_refused(tmp_path):
+    facts = yaml.safe_load(FACTS.read_text())
+    del facts["simulation"]
+    (tmp_path / "f.yaml").write_text(yaml.safe_dump(facts))
+    with pytest.raises(BadInput, match="'simulation' is a required property"):
+        read_drive_facts(tmp_path / "f.yaml", SCHEMA)
+
+
+CAMERA = {"xyz_m": [1.25, 0.08, 1.58], "rpy_deg": [0.6, 1.5, -0.8], "n_keyframes": 1, "window": 3, "time_offset_s": 0.004}
+SMALL = {"width": 321, "height": 241, "focal_px": 250.0}
+
+
+@pytest.fixture(scope="module")
+def filmed(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("filmed")
+    facts = write_changed(folder / "f.yaml", n_frames=4, camera=CAMERA | {"settings": SMALL, "previews_per_s": 0})
+    return run(folder, facts)
+
+
+def test_images_stand_in_windows_at_the_full_rate():
+    mount = drives.CameraMount(**CAMERA)
+    times = mount.image_times(6.0)
+    numbers = [round(t * 28 - 0.5) for t, _ in times]
+    # A window of 3 in the middle of 6 s, and one preview in each second; only the window's images follow one another.
+    assert [n for n in numbers if 80 < n < 90] == [82, 83, 84]
+    assert {14, 42, 70, 98, 126, 154} <= set(numbers)
+    assert len(numbers) == 9
+    assert [n for n, (_, follows) in zip(numbers, times, strict=True) if follows] == [83, 84]
+    every = drives.CameraMount(**CAMERA | {"is_full_rate": True}).image_times(6.0)
+    assert len(every) == 168
+    assert sum(follows for _, follows in every) == 167
+
+
+def test_images_masks_and_lidar_agree_through_the_true_extrinsics(filmed):
+    """Lidar points carried to the moment of an image by the true poses fall on pixels of their own object."""
+    images = [r for r in iterate_drive(filmed / "drive.mcap") if isinstance(r, CameraImage)]
+    truth = yaml.safe_load((filmed / "truth" / "truth.yaml").read_text())
+    _, stamps, T_map_camera = read_poses_csv(filmed / "truth" / "camera_poses.csv")
+    assert len(images) == 3
+    assert stamps == pytest.approx([i.time_ns / 1e9 for i in images], abs=1e-6)
+    assert np.diff(stamps) == pytest.approx([1 / 28] * 2, abs=1e-6)
+    times_s, trajectory = read_tum(filmed / "truth" / "trajectory.tum")
+    offset_s = truth["extrinsics"]["time_offset_s"]
+    at_image = geometry.interpolate_poses(stamps - offset_s, times_s, trajectory)
+    T_vehicle_camera, T_vehicle_lidar = (np.array(truth["mountings"][f"T_vehicle_{s}"]) for s in ("camera", "lidar"))
+    assert np.abs(at_image @ T_vehicle_camera - T_map_camera).max() < 1e-4
+    assert np.allclose(np.array(truth["extrinsics"]["T_camera_lidar"]), geometry.invert(T_vehicle_camera) @ T_vehicle_lidar)
+
+    model = read_camera_model(filmed / "drive.mcap")
+    frames = list(iterate_lidar(filmed / "drive.mcap"))
+    image = images[1]
+    row = int(np.argmin([abs(f.time_ns - image.time_ns) for f in frames]))
+    frame, instances = frames[row], np.load(filmed / "truth" / "instances" / f"{row:06d}.npy")
+    fired = geometry.interpolate_poses(frame.time_ns / 1e9 + frame.time_offset_s.astype(np.float64), times_s, trajectory)
+    points = geometry.apply(geometry.invert(T_map_camera[1]), geometry.apply(fired @ T_vehicle_lidar, frame.points))
+    pixels = project(points, model)
+    inside = np.isfinite(pixels).all(axis=1) & (np.abs(pixels - [160, 120]) < [159, 119]).all(axis=1) & (points[:, 2] < 20)
+    u, v = np.round(pixels[inside]).astype(int).T
+    with np.load(filmed / "truth" / "masks" / "000001.npz") as mask:
+        seen, shape = mask["instances"][v, u], mask["labels"].shape
+    assert shape == (241, 321)
+    assert inside.sum() > 3000
+    # The camera sees past edges where the lidar does not; most of what both see is the same.
+    assert (seen == instances[inside]).mean() > 0.85
+    assert decode_image(image).shape == (241, 321, 3)
+
+
+def test_frames_say_whether_they_have_an_image_and_the_file_does_not_tell_where_the_camera_is(filmed):
+    table = pd.read_csv(filmed / "frames.csv")
+    assert set(table["image_status"]) == {"ok", "missing"}
+    assert [m.child for m in iterate_drive(filmed / "drive.mcap") if isinstance(m, Mounting)] == ["lidar", "gps"]
