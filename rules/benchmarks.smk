@@ -69,6 +69,47 @@ rule evaluate_sensor:
         "../scripts/evaluate_sensor.py"
 
 
+rule evaluate_frames:
+    """Precision and recall of the grid's classes against the true labels of a drive's points."""
+    input:
+        code=library("evaluate_frames"),
+        truth=drive_file("truth"),
+        classes="results/segment_frames/{drive}/classes.npz",
+    output:
+        scores="results/evaluate_frames/{drive}/scores.csv",
+    log:
+        "results/evaluate_frames/{drive}/scores.log",
+    conda:
+        "../envs/streetscan.yaml"
+    resources:
+        mem_mb=1000,
+    script:
+        "../scripts/evaluate_frames.py"
+
+
+rule evaluate_registration:
+    """Failed pairs, absolute and relative errors, drift and time of a drive's poses; its path beside the true one."""
+    input:
+        code=library("evaluate_registration"),
+        truth=drive_file("truth"),
+        poses="results/register_frames/{drive}/{registrar}/poses.csv",
+        timings=timings_of,
+    output:
+        scores="results/evaluate_registration/{drive}/{registrar}/scores.csv",
+        trajectory="results/evaluate_registration/{drive}/{registrar}/trajectory.csv",
+    log:
+        "results/evaluate_registration/{drive}/{registrar}/scores.log",
+    conda:
+        "../envs/streetscan.yaml"
+    resources:
+        mem_mb=1000,
+    params:
+        **config["evaluate_registration"],
+        reference=reference_facts,
+    script:
+        "../scripts/evaluate_registration.py"
+
+
 rule tabulate_benchmarks:
     """The papers' tables with ours beside theirs, as CSV, Markdown and LaTeX, and one report of the run."""
     input:
@@ -77,6 +118,11 @@ rule tabulate_benchmarks:
         confusions=for_pairs("results/evaluate_labels/{dataset}/{model}/confusion.csv", EVALUATED),
         histories=[f"{training_of(d, m)}/history.csv" for d, m in TRAINED],
         views=for_pairs("results/evaluate_views/{dataset}/{split}/{model}/views", LABELLED),
+        registrations=for_drives("results/evaluate_registration/{drive}/{registrar}/scores.csv", REGISTERED),
+        trajectories=for_drives("results/evaluate_registration/{drive}/{registrar}/trajectory.csv", REGISTERED),
+        grids=for_drives("results/evaluate_frames/{drive}/scores.csv", LABELLED_DRIVES),
+        streets=for_drives("results/merge_frames/{drive}/{registrar}/street.png", MERGED),
+        frames=for_drives("results/show_frames/{drive}/pictures", REGISTERED + MERGED),
     output:
         scores="results/tabulate_benchmarks/{run}/scores.csv",
         report="results/tabulate_benchmarks/{run}/report.html",
@@ -92,6 +138,8 @@ rule tabulate_benchmarks:
         evaluated=EVALUATED,
         trained=TRAINED,
         viewed=LABELLED,
+        registered=REGISTERED,
+        merged=MERGED,
         facts={dataset: facts(dataset)["published"] for dataset, _ in LABELLED if "published" in facts(dataset)},
         config=config,
     script:

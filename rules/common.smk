@@ -21,6 +21,7 @@ wildcard_constraints:
     tiles=r"\d+of\d+",
     model=r"[a-z0-9_]+",
     drive=r"[a-z0-9_]+",
+    registrar=r"[a-z0-9_]+",
     run=r"[a-z0-9_]+",
 
 
@@ -135,7 +136,7 @@ def street_of(wildcards):
 
 def step_of_map(dataset):
     """The step that makes a data set's map."""
-    return {"simulate": "simulate_city", "import": "import_map"}[facts(dataset)["source"]]
+    return {"simulate": "simulate_city", "import": "import_map", "merge": "import_map"}[facts(dataset)["source"]]
 
 
 def map_of(wildcards):
@@ -150,7 +151,11 @@ def truth_of(wildcards):
 
 @as_workflow_error
 def list_files(name, part):
-    """The files of a part of an imported data set; one that is missing is an error of one sentence."""
+    """The files of a part of an imported data set, or the tiles of a drive; one that is missing is an error of one sentence."""
+    if facts(name)["source"] == "merge":
+        drive, registrar = (facts(name)["merge"][key] for key in ("drive", "registrar"))
+        check_registrar(drive, registrar, f"data set '{name}'")
+        return [f"results/merge_frames/{drive}/{registrar}/tiles"]
     return [str(path) for path in dataset(name).files(part, config["data_root"])]
 
 
@@ -251,6 +256,38 @@ def check_pair(name, model, needs_map=True):
         check_pair(*other.split("/"), needs_map=False)
 
 
+def has_labels(drive):
+    """Whether the true labels of a drive's points are known."""
+    return drive_facts(drive)["reader"] == "simulate" or "labels" in drive_facts(drive).get("truth", {})
+
+
+def registration_settings(wildcards):
+    """`register_frames.settings` with what the registrar is and changes."""
+    registrar, settings = config["registrars"][wildcards.registrar], config["register_frames"]["settings"]
+    changed = settings | registrar["settings"] | {"ndt": settings["ndt"] | registrar["settings"].get("ndt", {})}
+    return changed | {key: registrar[key] for key in ("method", "target", "classes")} | {"n_threads": config["n_threads"]}
+
+
+def timings_of(wildcards):
+    """What a registrar's frames took: the registration, and the grid where its classes are matched."""
+    paths = [f"results/register_frames/{wildcards.drive}/{wildcards.registrar}/timings.csv"]
+    uses_grid = config["registrars"][wildcards.registrar]["classes"]
+    return paths + [f"results/segment_frames/{wildcards.drive}/timings.csv"] * bool(uses_grid)
+
+
+def reference_facts(wildcards):
+    """How good a drive's true poses are: `is_planar` and `smoothing_s`."""
+    poses = drive_facts(wildcards.drive).get("truth", {}).get("poses", {})
+    return {key: poses[key] for key in ("is_planar", "smoothing_s") if key in poses}
+
+
+def check_registrar(drive, registrar, where):
+    """Refuse a drive without a file and a registrar that is not in the config."""
+    drive_facts(drive)
+    if registrar not in config["registrars"]:
+        raise WorkflowError(f"{where}: registrar '{registrar}' is not in the config; use one of {', '.join(config['registrars'])}.")
+
+
 LABELLED = pairs("labelled_maps")
 for name, model in LABELLED:
     check_pair(name, model)
@@ -263,3 +300,14 @@ TRAINED = [(d, m) for d, m in LABELLED if m in BASELINES or config["models"][m][
 def for_pairs(path, selected):
     """A path's instances for (data set, model) pairs."""
     return [path.format(dataset=d, split=labelled_part(d), model=m) for d, m in selected]
+
+
+REGISTERED, MERGED = pairs("registered_drives"), pairs("merged_drives")
+for drive, registrar in REGISTERED + MERGED:
+    check_registrar(drive, registrar, "registered_drives and merged_drives")
+LABELLED_DRIVES = [(d, r) for d, r in REGISTERED if has_labels(d)]
+
+
+def for_drives(path, selected):
+    """A path's instances for (drive, registrar) pairs."""
+    return list(dict.fromkeys(path.format(drive=d, registrar=r) for d, r in selected))

@@ -6,20 +6,25 @@ from pathlib import Path
 import pandas as pd
 import yaml
 
-from streetscan.benchmarks import report, scores, tables
+from streetscan.benchmarks import registrations, report, scores, tables
 from streetscan.logs import logged
 
 Pairs = Sequence[tuple[str, str]]
 
 
-def main(inputs: Mapping, outputs: Mapping, evaluated: Pairs, trained: Pairs, viewed: Pairs, facts: Mapping, config: Mapping):
+def main(
+    inputs: Mapping, outputs: Mapping, evaluated: Pairs, trained: Pairs, viewed: Pairs, registered: Pairs, merged: Pairs,
+    facts: Mapping, config: Mapping,
+):  # fmt: skip
     """
     Args:
-        inputs: `evaluations`, `confusions` (scores.csv and confusion.csv of evaluate_labels, one per pair in `evaluated`),
-            `histories` (history.csv of train_segmenter, one per pair in `trained`), `views` (folders of evaluate_views, one
-            per pair in `viewed`).
+        inputs: of evaluate_labels `evaluations` and `confusions`, one per pair in `evaluated`; of train_segmenter `histories`, per pair
+            in `trained`; of evaluate_views `views`, per pair in `viewed`; of evaluate_registration `registrations` and `trajectories`,
+            per pair in `registered`; of merge_frames `streets`, per pair in `merged`; of evaluate_frames `grids` and of show_frames
+            `frames`, per drive.
         outputs: `scores`, `report` (files), `tables`, `figures` (folders).
         evaluated, trained, viewed: (data set, model) pairs.
+        registered, merged: (drive, registrar) pairs.
         facts: data set to its facts for Table 1.2.
         config: the resolved configuration, printed in the report; its `run` and `seed` name it.
     """
@@ -27,12 +32,16 @@ def main(inputs: Mapping, outputs: Mapping, evaluated: Pairs, trained: Pairs, vi
     evaluations = [scores.read_evaluation(*paths, *pair, config["seed"]) for *paths, pair in files]
     histories = {tuple(pair): pd.read_csv(path) for pair, path in zip(trained, inputs["histories"], strict=True)}
     views = {tuple(pair): Path(folder) for pair, folder in zip(viewed, inputs["views"], strict=True)}
-    found = scores.collect_scores(evaluations, facts)
+    drives = registrations.read_registrations(inputs["registrations"], inputs["trajectories"], registered)
+    more = registrations.registration_scores(drives) + registrations.grid_scores(inputs["grids"])
+    found = scores.collect_scores(evaluations, facts, more)
     printed = tables.make_tables(found)
     sections = report.draw_sections(outputs["figures"], found, evaluations, histories, views)
+    streets = dict(zip(map(tuple, merged), inputs["streets"], strict=True))
+    sections += registrations.draw_drives(outputs["figures"], drives, streets, inputs["frames"])
     labelled = list(dict.fromkeys([*map(tuple, evaluated), *views]))
     html = report.render_report(
-        report.describe_run(config["run"], config["seed"], labelled),
+        report.describe_run(config["run"], config["seed"], labelled, registered),
         found,
         printed,
         sections,

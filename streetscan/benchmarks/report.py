@@ -14,6 +14,7 @@ from pathlib import Path
 
 import jinja2
 import pandas as pd
+from matplotlib.figure import Figure
 
 import streetscan
 from streetscan.benchmarks import figures as draw
@@ -97,17 +98,22 @@ def describe_machine() -> str:
     )
 
 
-def describe_run(run: str, seed: int, labelled: Sequence[tuple[str, str]]) -> dict[str, str]:
-    """What the head of the report says: run, version, seed, labelled maps and the machine."""
-    maps = dict.fromkeys(dataset for dataset, _ in labelled)
-    by = {d: ", ".join(title(m) for m in dict.fromkeys(m for e, m in labelled if e == d)) for d in maps}
+def describe_run(run: str, seed: int, labelled: Sequence[tuple[str, str]], registered: Sequence[tuple[str, str]] = ()) -> dict[str, str]:
+    """What the head of the report says: run, version, seed, labelled maps, registered drives and the machine."""
+    drives = {"Registered drives": "; ".join(f"{d} by {methods}" for d, methods in _methods_of(registered).items())} if registered else {}
     return {
         "Run": run,
         "Version": f"streetscan {streetscan.__version__}",
         "Seed": str(seed),
-        "Labelled maps": "; ".join(f"{d} by {methods}" for d, methods in by.items()) or "none",
+        "Labelled maps": "; ".join(f"{d} by {methods}" for d, methods in _methods_of(labelled).items()) or "none",
+        **drives,
         "Tables made on": describe_machine(),
     }
+
+
+def _methods_of(pairs: Sequence[tuple[str, str]]) -> dict[str, str]:
+    """Map or drive to the titles of its methods."""
+    return {d: ", ".join(title(m) for m in dict.fromkeys(m for e, m in pairs if e == d)) for d in dict.fromkeys(d for d, _ in pairs)}
 
 
 def glance(scores: pd.DataFrame) -> list[dict[str, str]]:
@@ -237,7 +243,8 @@ def draw_sections(
     return sections
 
 
-def _save(figure, folder: Path, name: str, caption: str, is_narrow: bool = False) -> Picture:
+def save_picture(figure: Figure, folder: Path, name: str, caption: str, is_narrow: bool = False) -> Picture:
+    """A figure, written as SVG and PDF, as a picture of the report."""
     for suffix in (".pdf", ".svg"):
         draw.save_figure(figure, folder / f"{name}{suffix}")
     return embed(folder / f"{name}.svg", caption, is_narrow)
@@ -260,7 +267,7 @@ def _bars(folder: Path, scores: pd.DataFrame, dataset: str) -> list[Picture]:
         references[f"{title(split_column(column)[0])}, paper"] = [parse_number(p) for p in printed]
     figure = draw.score_bars([title(r) for r in rows], series | references, references=list(references))
     caption = f"F per class on {dataset}; hatched bars are the paper's, measured on its own data."
-    return [_save(figure, folder, f"f_{dataset}", caption)]
+    return [save_picture(figure, folder, f"f_{dataset}", caption)]
 
 
 def _part(folder: Path, dataset: str, method: str, evaluation: Evaluation | None, history: pd.DataFrame | None, views: Path | None) -> Part:
@@ -272,14 +279,14 @@ def _part(folder: Path, dataset: str, method: str, evaluation: Evaluation | None
         best = history.loc[history["validation_accuracy"].idxmax()]
         text.append(f"Trained for {len(history)} epochs; the weights of epoch {best['epoch']:.0f} were kept.")
         caption = f"Training of {who}: loss, accuracy (mean of the classes' recalls) and learning rate per epoch."
-        pictures.append(_save(draw.training_curve(history), folder, f"training_{dataset}_{method}", caption))
+        pictures.append(save_picture(draw.training_curve(history), folder, f"training_{dataset}_{method}", caption))
     else:
         text.append("Not trained on this map: its network came with the weights given.")
     if evaluation is not None:
         n = format_number(evaluation.confusion.sum())
         caption = f"Confusion of {who} over all {n} labelled voxels: per cent of the true class, and voxels."
         figure = draw.confusion_matrix(evaluation.confusion, [c.title for c in CLASSES])
-        pictures.append(_save(figure, folder, f"confusion_{dataset}_{method}", caption))
+        pictures.append(save_picture(figure, folder, f"confusion_{dataset}_{method}", caption))
     else:
         text.append("No truth, so no confusion matrix.")
     if views is not None:
@@ -311,7 +318,7 @@ def _parameter_section(folder: Path, scores: pd.DataFrame) -> list[Section]:
             series = {f"C²CNN on {dataset}": both["ours"].astype(float).tolist(), "C²CNN, paper": both["paper"].map(parse_number).tolist()}
             figure = draw.parameter_curve(both["at"].tolist(), series, parameter, references=["C²CNN, paper"], log_scale=is_log)
             caption = f"Overall F against the {parameter}; {len(group)} runs of ours, the paper's {table} dashed."
-            pictures.append(_save(figure, folder, f"{table}_{dataset}", caption))
+            pictures.append(save_picture(figure, folder, f"{table}_{dataset}", caption))
     return [Section("parameters", "Voxel and cube size", "", pictures)] if pictures else []
 
 

@@ -23,7 +23,6 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
-import open3d as o3d
 from numba import njit
 
 from streetscan.errors import BadInput
@@ -386,6 +385,8 @@ def find_outliers(points: np.ndarray, n_neighbours: int = 20, deviation_ratio: f
 
 def estimate_normals(points: np.ndarray, n_neighbours: int = 20) -> np.ndarray:
     """(N, 3) float32 unit normals, towards the sensor, from the nearest neighbours (option -n, J-32); no NaN among the points."""
+    import open3d as o3d
+
     cloud = _open3d_cloud(points)
     if len(points):
         cloud.estimate_normals(o3d.geometry.KDTreeSearchParamKNN(n_neighbours))
@@ -393,5 +394,8 @@ def estimate_normals(points: np.ndarray, n_neighbours: int = 20) -> np.ndarray:
     return np.asarray(cloud.normals, np.float32).reshape(-1, 3)
 
 
-def _open3d_cloud(points: np.ndarray) -> o3d.geometry.PointCloud:
+def _open3d_cloud(points: np.ndarray):
+    # Seconds to load, for options only.
+    import open3d as o3d
+
     return o3d.geometry.PointCloud(o3d.utility.Vector3dVector(np.asarray(points, np.float64).reshape(-1, 3)))
