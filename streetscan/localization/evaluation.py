@@ -125,8 +125,8 @@ def match_objects(
     """The thesis' metric and how many objects could serve it.
 
     Returns:
-        mean distance of the keypoints of the good objects from those of their landmarks under the found pose, the number of objects, and of
-        good ones: where the true pose puts them stands a compatible landmark.
+        mean distance of the keypoints of the good objects from those of their landmarks under the found pose; the number of objects that
+        may be some landmark in range and so take part in the vote; of good ones: where the true pose puts them stands such a landmark.
     """
     ground = find_ground(points, settings.ground)
     if not ground.has_plane or not np.isfinite(T_true).all():
@@ -135,24 +135,25 @@ def match_objects(
     observed = find_objects(ground, settings.objects, level).objects
     landmarks = reference.landmarks.select(reference.landmarks.near(T_true[:2, 3] - reference.origin[:2], settings.ground.range_m + 5))
     if len(observed) == 0 or len(landmarks) == 0:
-        return np.nan, len(observed), 0
+        return np.nan, 0, 0
     T = _moved(T_true, -reference.origin) @ invert(level)
     placed = observed.transformed(T)
     pairs = find_compatible(placed, landmarks.objects, landmarks.kinds, settings.compatibility)
+    n_objects = len(np.unique(pairs[:, 0]))
     distances = np.linalg.norm(placed.centres[pairs[:, 0], :2] - landmarks.objects.centres[pairs[:, 1], :2], axis=1)
     order = np.argsort(distances, kind="stable")
     order = order[distances[order] < _GOOD_M]
     _, first = np.unique(pairs[order, 0], return_index=True)
     good = pairs[order[np.sort(first)]]
     if len(good) == 0 or not np.isfinite(T_found).all():
-        return np.nan, len(observed), len(good)
+        return np.nan, n_objects, len(good)
     moved = observed.select(good[:, 0]).transformed(_moved(T_found, -reference.origin) @ invert(level))
     their = landmarks.objects.select(good[:, 1])
     quarters = np.rint((placed.yaws_rad[good[:, 0]] - their.yaws_rad) / (np.pi / 2)).astype(np.int64)
     own, theirs = moved.keypoints(settings.n_keypoints), their.keypoints(settings.n_keypoints)
     if own.shape[2] == 4:
         theirs = np.stack([np.roll(t, -q, axis=1) for t, q in zip(theirs, quarters, strict=True)])
-    return float(np.nanmean(np.linalg.norm(own - theirs, axis=-1))), len(observed), len(good)
+    return float(np.nanmean(np.linalg.norm(own - theirs, axis=-1))), n_objects, len(good)
 
 
 class PhantomMap:
