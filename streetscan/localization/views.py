@@ -78,14 +78,16 @@ def draw_frame_on_map(frame: LidarFrame, row: FrameLocation, reference: Referenc
     map_colours = _shade(heights)
     yaw = np.nan_to_num(row.start.yaw_rad)
     T_start = place_start(reference, row.start.xy_m[:2] - reference.origin[:2], yaw, -ground.plane[2]) @ level
-    scan = points[(np.hypot(points[:, 0], points[:, 1]) < _RANGE_M) & np.isfinite(points).all(axis=1)]
-    is_wall = heights > 0.3
+    # Without ground on either side, which would hide what stands on it (thesis, Fig. 3.7).
+    scan = ground.points[ground.heights_m > 0.3].astype(np.float64)
+    # Crowns and wires would hide the street.
+    is_wall = (heights > 0.3) & (heights < 4.0)
     red = np.tile(np.array(_SCAN, np.uint8), (len(scan), 1))
-    from_above = View(tuple(T[:3, 3] + T[:3, :3] @ [-14.0, -7.0, 24.0]), tuple(T[:3, 3] + T[:3, :3] @ [6.0, 0, -2.0]), 1600, 1000)
+    from_above = View(tuple(T[:3, 3] + T[:3, :3] @ [-22.0, -8.0, 42.0]), tuple(T[:3, 3] + T[:3, :3] @ [2.0, 0, -2.0]), 1600, 1000)
 
     def overlay(pose: np.ndarray) -> np.ndarray:
-        together = np.concatenate([map_points[is_wall], apply(pose, scan)])
-        return render_cloud(together, np.concatenate([map_colours[is_wall], red]), from_above, 0.09)
+        together = np.concatenate([apply(pose, scan), map_points[is_wall]])
+        return render_cloud(together, np.concatenate([red, map_colours[is_wall]]), from_above, 0.12)
 
     behind = View((-16.0, -3.0, 11.0), (8.0, 0.0, -2.0), 1600, 900)
     removed = np.where((ground.heights_m > 0.1)[:, None], np.array((0, 114, 178)), np.array((190, 190, 190))).astype(np.uint8)
@@ -95,8 +97,9 @@ def draw_frame_on_map(frame: LidarFrame, row: FrameLocation, reference: Referenc
     return {
         "ground": render_cloud(ground.points.astype(np.float64), removed, behind, 0.05),
         "objects": render_cloud(
-            np.concatenate([ground.points.astype(np.float64), objects.points]),
-            np.concatenate([grouped, _PALETTE[blob % len(_PALETTE)]]),
+            # Of points in one place the first is seen.
+            np.concatenate([objects.points, ground.points.astype(np.float64)]),
+            np.concatenate([_PALETTE[blob % len(_PALETTE)], grouped]),
             behind,
             0.05,
         ),
