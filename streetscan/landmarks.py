@@ -162,7 +162,7 @@ def cluster_landmarks(
         # Of a raw map only the part that is described is clustered: above it crowns and wires would join everything.
         if labels is None:
             rows = rows[heights_m[rows] < s.max_height_m]
-        for cluster in _clusters(points[rows], s.distance_m, s.min_voxels):
+        for cluster in euclidean_clusters(points[rows], s.distance_m, s.min_voxels):
             members = rows[cluster]
             heights = heights_m[members]
             # ASSUME: a whole map's ground is known to a few centimetres, so the cut at `above_m` leaves the foot's soil out.
@@ -175,8 +175,14 @@ def cluster_landmarks(
     return _describe(kinds, parts, tops, s)
 
 
-def _clusters(points: np.ndarray, distance_m: float, min_points: int) -> list[np.ndarray]:
-    """Rows of each set of points that are chained by less than a distance, by their first row."""
+def euclidean_clusters(points: np.ndarray, distance_m: float, min_points: int) -> list[np.ndarray]:
+    """Rows of each set of points that are chained by distances below a limit, found with a kd-tree (thesis, [68]); by their first row.
+
+    Args:
+        points: (N, 3) metres.
+        distance_m: the limit.
+        min_points: smaller sets are left out.
+    """
     if len(points) == 0:
         return []
     pairs = cKDTree(points - points[0]).query_pairs(distance_m, output_type="ndarray")
