@@ -198,8 +198,8 @@ def _bench_odometry(drive: _Drive) -> list[dict]:
     chains = {
         "": lambda: _run_chain(drive, OdometrySettings()),
         "kiss-icp": lambda: _run_chain(drive, OdometrySettings("kiss_icp", "street", ())),
-        "small_gicp GICP, pairs": lambda: _run_chain(drive, OdometrySettings("gicp", "previous", (), thin_m=0.25)),
-        "small_gicp VGICP, street": lambda: _run_chain(drive, OdometrySettings("vgicp", "street", (), thin_m=0.25)),
+        "small_gicp GICP, pairs": lambda: _run_chain(drive, OdometrySettings("gicp", "previous", ())),
+        "small_gicp VGICP, street": lambda: _run_chain(drive, OdometrySettings("vgicp", "street", ())),
     }
     for peer, run in chains.items():
         scores = _score(drive, *run())

@@ -46,6 +46,76 @@ rule evaluate_views:
         "../scripts/evaluate_views.py"
 
 
+rule evaluate_realism:
+    """Statistics of a map, simulated or real: density, residuals, edges, intensities, shares, and of a simulated one the return rate."""
+    input:
+        code=library("evaluate_realism"),
+        map=map_of,
+        truth=lambda w: truth_of(w) if facts(w.dataset)["truth"] == "labels" else [],
+    output:
+        table="results/evaluate_realism/{dataset}/{split}/realism.csv",
+    log:
+        "results/evaluate_realism/{dataset}/{split}/realism.log",
+    benchmark:
+        "results/evaluate_realism/{dataset}/{split}/realism.bench.tsv"
+    conda:
+        "../envs/streetscan.yaml"
+    resources:
+        mem_mb=3000,
+    params:
+        **{key: config["evaluate_realism"][key] for key in ("tile_m", "tile_share", "max_range_m", "n_pulses")},
+        simulation=lambda w: facts(w.dataset).get("simulation"),
+        split=lambda w: w.split,
+        length_m=lambda w: facts(w.dataset)["parts"][w.split].get("length_m"),
+        seed=config["seed"],
+    script:
+        "../scripts/evaluate_realism.py"
+
+
+rule evaluate_drive_realism:
+    """The same statistics of a drive's frames merged at their true poses."""
+    input:
+        code=library("evaluate_drive_realism"),
+        drive=drive_file("drive.mcap"),
+        truth=drive_file("truth"),
+    output:
+        table="results/evaluate_drive_realism/{drive}/realism.csv",
+    log:
+        "results/evaluate_drive_realism/{drive}/realism.log",
+    conda:
+        "../envs/streetscan.yaml"
+    resources:
+        mem_mb=3000,
+    params:
+        **{key: config["evaluate_realism"][key] for key in ("tile_m", "tile_share", "max_range_m")},
+    script:
+        "../scripts/evaluate_drive_realism.py"
+
+
+rule evaluate_density:
+    """Point density against the distance from a tripod, of a static and of a mobile scan of the same street: Fig. 2.3."""
+    input:
+        code=library("evaluate_density"),
+        static=lambda w: map_and_truth(w.dataset),
+        mobile=lambda w: map_and_truth(facts(w.dataset)["same_streets_as"]),
+    output:
+        table="results/evaluate_density/{dataset}/density.csv",
+    log:
+        "results/evaluate_density/{dataset}/density.log",
+    conda:
+        "../envs/streetscan.yaml"
+    resources:
+        mem_mb=3000,
+    params:
+        max_range_m=config["evaluate_density"]["max_range_m"],
+        simulation=lambda w: facts(w.dataset)["simulation"],
+        split="test",
+        length_m=lambda w: facts(w.dataset)["parts"]["test"]["length_m"],
+        seed=config["seed"],
+    script:
+        "../scripts/evaluate_density.py"
+
+
 rule evaluate_sensor:
     """The frames of a simulated drive beside those of a real sensor: returns per beam, distances, rings on the road."""
     input:
@@ -145,6 +215,8 @@ rule tabulate_benchmarks:
         confusions=for_pairs("results/evaluate_labels/{dataset}/{model}/confusion.csv", EVALUATED),
         histories=[f"{training_of(d, m)}/history.csv" for d, m in TRAINED],
         views=for_pairs("results/evaluate_views/{dataset}/{split}/{model}/views", LABELLED),
+        realism=list(realism_tables().values()),
+        densities=expand("results/evaluate_density/{dataset}/density.csv", dataset=STATIC_SCANS),
         registrations=for_drives("results/evaluate_registration/{drive}/{registrar}/scores.csv", REGISTERED),
         trajectories=for_drives("results/evaluate_registration/{drive}/{registrar}/trajectory.csv", REGISTERED),
         grids=for_drives("results/evaluate_frames/{drive}/scores.csv", LABELLED_DRIVES),
@@ -175,6 +247,12 @@ rule tabulate_benchmarks:
         merged=MERGED,
         localized=SCORED_LOCALIZATIONS,
         facts={dataset: facts(dataset)["published"] for dataset, _ in LABELLED if "published" in facts(dataset)},
+        realism={
+            "simulated": [d for d, _ in SIMULATED],
+            "compared": list(realism_tables()),
+            "not_compared": NOT_COMPARED,
+            "static_scans": {d: facts(d)["same_streets_as"] for d in STATIC_SCANS},
+        },
         config=config,
     script:
         "../scripts/tabulate_benchmarks.py"

@@ -74,6 +74,10 @@ def check_config():
 
 check_config()
 
+SELECTIONS = ("labelled_maps", "drives", "registered_drives", "merged_drives", "localized_drives")
+if not any(config[key] for key in SELECTIONS):
+    config.update(config["first_run"])
+
 DATASETS = Path(config["datasets_folder"] or HOME / "config" / "datasets")
 DRIVES = Path(config["drives_folder"] or HOME / "config" / "drives")
 
@@ -236,9 +240,9 @@ def classes_of(dataset):
     return sorted(names - {"unlabelled"})
 
 
-def pairs(key):
-    """The (data set, model) pairs of a list of `dataset/model` names in the config."""
-    return [tuple(name.split("/")) for name in config[key]]
+def pairs(names):
+    """The names' parts, such as data set and model of `dataset/model`."""
+    return [tuple(name.split("/")) for name in names]
 
 
 def check_pair(name, model, needs_map=True):
@@ -290,7 +294,7 @@ def check_registrar(drive, registrar, where):
         raise WorkflowError(f"{where}: registrar '{registrar}' is not in the config; use one of {', '.join(config['registrars'])}.")
 
 
-LABELLED = pairs("labelled_maps")
+LABELLED = pairs(config["labelled_maps"])
 for name, model in LABELLED:
     check_pair(name, model)
     for part in facts(name)["parts"]:
@@ -304,7 +308,52 @@ def for_pairs(path, selected):
     return [path.format(dataset=d, split=labelled_part(d), model=m) for d, m in selected]
 
 
-REGISTERED, MERGED = pairs("registered_drives"), pairs("merged_drives")
+def is_complete(folder, patterns):
+    """Whether a folder of real recordings holds something for every pattern."""
+    return all(any(Path(config["data_root"], folder).glob(pattern)) for pattern in patterns)
+
+
+def find_compared():
+    """Real maps and drives the simulated ones are put beside, and the names of those whose files or recordings are not there."""
+    maps, drives, absent = [], [], []
+    for name, part in pairs(config["evaluate_realism"]["compared_maps"]):
+        there = (DATASETS / f"{name}.yaml").is_file() and is_complete(".", dataset(name).parts[part].files)
+        (maps if there else absent).append((name, part) if there else name)
+    for name in config["evaluate_realism"]["compared_drives"]:
+        file = DRIVES / f"{name}.yaml"
+        there = file.is_file() and is_complete(yaml.safe_load(file.read_text())["root"], ["*"])
+        (drives if there else absent).append(name)
+    return maps, drives, absent
+
+
+def find_static_scans():
+    """Data sets of a static scanner whose streets a mobile map of this run shows."""
+    wanted = [d for d in config["evaluate_density"]["static_scans"] if SIMULATED and (DATASETS / f"{d}.yaml").is_file()]
+    return [d for d in wanted if (facts(d)["same_streets_as"], "test") in SIMULATED]
+
+
+def moves_on_a_van(name):
+    """Whether a data set is simulated and scanned by a mobile mapper."""
+    return facts(name)["source"] == "simulate" and "same_streets_as" not in facts(name)
+
+
+SIMULATED = list(dict.fromkeys((d, labelled_part(d)) for d, _ in LABELLED if moves_on_a_van(d)))
+COMPARED_MAPS, COMPARED_DRIVES, NOT_COMPARED = find_compared() if SIMULATED else ([], [], [])
+STATIC_SCANS = find_static_scans()
+
+
+def realism_tables():
+    """Name of each map or drive to the table of its statistics: the simulated ones first."""
+    tables = {d: f"results/evaluate_realism/{d}/{part}/realism.csv" for d, part in SIMULATED + COMPARED_MAPS}
+    return tables | {d: f"results/evaluate_drive_realism/{d}/realism.csv" for d in COMPARED_DRIVES}
+
+
+def map_and_truth(name):
+    """A simulated data set's test map and its points' labels."""
+    return [f"results/simulate_city/{name}/test/{file}" for file in ("map.laz", "truth/labels.npy")]
+
+
+REGISTERED, MERGED = pairs(config["registered_drives"]), pairs(config["merged_drives"])
 for drive, registrar in REGISTERED + MERGED:
     check_registrar(drive, registrar, "registered_drives and merged_drives")
 LABELLED_DRIVES = [(d, r) for d, r in REGISTERED if has_labels(d)]
@@ -317,7 +366,7 @@ def for_drives(path, selected):
 
 def localizations():
     """The (data set, drive, labels, localizer) tuples of `localized_drives`, each checked."""
-    found = [tuple(name.split("/")) for name in config["localized_drives"]]
+    found = pairs(config["localized_drives"])
     for dataset_, drive, labels, localizer in found:
         where = f"localized_drives: {dataset_}/{drive}/{labels}/{localizer}"
         if localizer not in config["localizers"]:

@@ -1,4 +1,4 @@
-"""Pictures of a labelled map: predicted, true and wrong labels, from above and from eye level; class shares, reliability."""
+"""Pictures of a labelled map: labels, errors, intensity and colours, from above and from eye level; class shares, reliability."""
 
 import logging
 from collections.abc import Sequence
@@ -24,17 +24,18 @@ def main(
         voxels_path: its voxel grid.
         prediction_paths: all parts of its label map, `.npz`.
         truth_path: the voxels' true labels, `.npy`; None for a map without truth.
-        folder: to write `{predicted,true,errors}_{top,street}.png`, `class_shares.svg` and `reliability.svg` into; without
-            truth only what needs none.
+        folder: to write `{predicted,true,errors}_{top,street}.png`, `{intensity,rgb}_{top,street}.jpg`, `class_shares.svg` and
+            `reliability.svg` into; without truth, intensity or colours only what needs none.
         width_px: width of the pictures.
         reach_m: how far the eye sees.
     """
     grid = VoxelGrid.load(voxels_path)
     predicted, confidence = read_label_tiles(prediction_paths, len(grid))
     true = load_npy(truth_path, "label_voxels") if truth_path else None
-    views = draw_views(grid, predicted, true, (cloud.points for cloud in iterate_las(map_path)), width_px, reach_m)
+    views = draw_views(grid, predicted, true, iterate_las(map_path), width_px, reach_m)
     for name, figure in views.items():
-        save_figure(figure, Path(folder) / f"{name}.png")
+        # Noise of points does not compress as flat colours do.
+        save_figure(figure, Path(folder) / f"{name}.{'jpg' if name.startswith(('intensity', 'rgb')) else 'png'}")
     for name, figure in draw_statistics(predicted, confidence, true).items():
         save_figure(figure, Path(folder) / f"{name}.svg")
     logger.info("%d pictures of %d voxels", len(views), len(grid))

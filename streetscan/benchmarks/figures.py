@@ -72,20 +72,21 @@ def _figure(height_in: float, width_in: float = WIDTH_IN) -> Figure:
 
 
 def save_figure(figure: Figure, path: str | Path, dpi: float = 200) -> None:
-    """Write a figure as its suffix says (`.svg`, `.pdf`, `.png`), without date or version, so that equal figures are equal files.
+    """Write a figure as its suffix says (`.svg`, `.pdf`, `.png`, `.jpg`), without date or version, so that equal figures are equal files.
 
-    A `.png` is stored with a palette of 256 colours, which class colours fit.
+    A `.png` is stored with a palette of 256 colours, which class colours fit; a `.jpg` is for pictures with more.
     """
     path = Path(path)
     metadata = {".svg": {"Date": None, "Creator": None}, ".pdf": {"CreationDate": None, "Creator": None, "Producer": None}}
     with atomic_path(path) as partial, matplotlib.rc_context(_STYLE):
-        if path.suffix == ".png":
+        if path.suffix in (".png", ".jpg"):
             figure.set_dpi(dpi)
             figure.canvas.draw()
-            pixels = np.asarray(figure.canvas.buffer_rgba())[..., :3]
-            Image.fromarray(pixels).quantize(256, method=Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE).save(
-                partial, "PNG", optimize=True
-            )
+            picture = Image.fromarray(np.asarray(figure.canvas.buffer_rgba())[..., :3])
+            if path.suffix == ".jpg":
+                picture.save(partial, "JPEG", quality=80, optimize=True)
+            else:
+                picture.quantize(256, method=Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE).save(partial, "PNG", optimize=True)
         else:
             figure.savefig(partial, format=path.suffix[1:], metadata=metadata[path.suffix])
 

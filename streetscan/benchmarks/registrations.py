@@ -55,16 +55,12 @@ def read_registrations(scores: Sequence[str], trajectories: Sequence[str], pairs
     ]
 
 
-def grid_scores(paths: Sequence[str]) -> list[dict]:
-    """Rows of the tidy scores: precision and recall of the grid's classes, from `evaluate_frames/<drive>/scores.csv`."""
-    rows = []
-    for path in paths:
-        drive, content = Path(path).parent.name, _read_csv(path, ("class", "metric", "value", "unit"), "evaluate_frames")
-        rows += [
-            make_score("grid_classes", drive, r["class"], r["metric"], r["value"], r["unit"], dataset=drive, method="grid")
-            for r in content.to_dict("records")
-        ]
-    return rows
+def _grid_scores(path: str) -> list[dict]:
+    drive, content = Path(path).parent.name, _read_csv(path, ("class", "metric", "value", "unit"), "evaluate_frames")
+    return [
+        make_score("grid_classes", drive, r["class"], r["metric"], r["value"], r["unit"], dataset=drive, method="grid")
+        for r in content.to_dict("records")
+    ]
 
 
 def _read_csv(path: str, columns: Sequence[str], step: str) -> pd.DataFrame:
@@ -77,8 +73,13 @@ def _read_csv(path: str, columns: Sequence[str], step: str) -> pd.DataFrame:
     return content
 
 
-def registration_scores(registrations: Sequence[Registration]) -> list[dict]:
-    """Rows of the tidy scores: Tables 1 and 2 of the paper, and one row per drive and registrar beside the peers."""
+def registration_scores(registrations: Sequence[Registration], grids: Sequence[str] = ()) -> list[dict]:
+    """Rows of the tidy scores: Tables 1 and 2 of the paper, and one row per drive and registrar beside the peers.
+
+    Args:
+        registrations: to tabulate.
+        grids: `evaluate_frames/<drive>/scores.csv`, precision and recall of the grid's classes.
+    """
     rows = []
     for drive in dict.fromkeys(r.drive for r in registrations):
         of_drive = {PAPER_COLUMNS.get(r.registrar, r.registrar): r for r in registrations if r.drive == drive}
@@ -89,7 +90,7 @@ def registration_scores(registrations: Sequence[Registration]) -> list[dict]:
             value, unit, n = r.value(metric)
             row = make_score("registration", f"{r.drive}/{r.registrar}", "", metric, value, _unit(unit), n, r.drive, r.registrar)
             rows.append(row | {"n": math.nan})
-    return rows
+    return rows + [row for path in grids for row in _grid_scores(path)]
 
 
 def _unit(unit: str) -> str:

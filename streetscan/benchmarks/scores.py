@@ -7,7 +7,7 @@ is the paper's alone. Units are those of the paper's table.
 
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,6 +18,7 @@ from streetscan.benchmarks.published import caption, find_published, load_publis
 from streetscan.classes import N_CLASSES, NAMES, OBJECT_LABELS
 from streetscan.errors import BadInput
 from streetscan.io.atomic import atomic_path
+from streetscan.io.tables import save_tables
 
 SCORE_COLUMNS = ("table", "row", "column", "ours", "spread", "paper", "unit", "n", "dataset", "method", "seed")
 _NUMBERS = ("spread", "n")
@@ -245,6 +246,21 @@ def read_confusion(path: str | Path) -> np.ndarray:
     index = ([NAMES.index(n) for n in content[k]] for k in ("truth", "predicted"))
     np.add.at(counts, tuple(index), content["n"].astype(np.int64).to_numpy())
     return counts
+
+
+def read_named(paths: Sequence[str | Path], names: Iterable[str]) -> dict[str, pd.DataFrame]:
+    """The tables of several maps by the maps' names, in their order."""
+    return {name: pd.read_csv(path) for name, path in zip(names, paths, strict=True)}
+
+
+def write_named(folder: str | Path, **kinds: Mapping[str, pd.DataFrame]) -> None:
+    """Write `<kind>.csv` for each kind of table there is any of: those of all maps joined, the map's name in the first column `map`."""
+    joined = {}
+    for kind, tables in kinds.items():
+        if tables:
+            parts = [table.assign(map=name)[["map", *table]] for name, table in tables.items()]
+            joined[Path(folder) / f"{kind}.csv"] = pd.concat(parts, ignore_index=True)
+    save_tables(joined)
 
 
 def _read_csv(path: str | Path, columns: Sequence[str], step: str) -> pd.DataFrame:

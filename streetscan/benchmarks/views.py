@@ -10,12 +10,14 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from streetscan.benchmarks import figures
-from streetscan.benchmarks.rendering import View, render_cloud, render_top
+from streetscan.benchmarks.rendering import View, grey_levels, render_cloud, render_top
 from streetscan.classes import GROUND, N_CLASSES, UNLABELLED, colours
+from streetscan.clouds import PointCloud
 from streetscan.voxels import VoxelGrid
 
 EYE_HEIGHT_M = 2.2
 _PITCH = -0.07
+_MEASURED = {"intensity": "Intensity", "rgb": "Colours of the cameras"}
 _REACH_M, _CELL_M, _N_DIRECTIONS, _MAX_PLACES = 35.0, 4.0, 16, 500
 
 
@@ -86,7 +88,7 @@ def draw_views(
     grid: VoxelGrid,
     predicted: np.ndarray,
     true: np.ndarray | None,
-    chunks: Iterable[np.ndarray],
+    clouds: Iterable[PointCloud],
     width_px: int = 1440,
     reach_m: float = 80.0,
 ) -> dict[str, Figure]:
@@ -96,12 +98,13 @@ def draw_views(
         grid: its voxels.
         predicted: (V,) uint8, the voxels' predicted labels.
         true: (V,) uint8, the voxels' true labels, or None when nothing is known.
-        chunks: (n, 3) float64 arrays, frame `map`, metres; together the map's points. Only those near the eye are kept.
+        clouds: together the map's points, frame `map`, with `intensity` and `rgb` where it has them. Only those near the eye are kept.
         width_px: width of the pictures.
         reach_m: how far the eye sees.
     Returns:
-        `predicted_top`, `predicted_street` and, when any voxel has a true label, `true_*` and `errors_*`. The view from above
-        shows voxels, turned so that the map's long side lies across; the view from eye level shows points.
+        `predicted_top`, `predicted_street` and, when any voxel has a true label, `true_*` and `errors_*`; `intensity_*` and `rgb_*`
+        when the points have them. The view from above shows voxels (the mean of their points' intensities and colours), turned so that
+        the map's long side lies across; the view from eye level shows points.
     """
     centres = grid.centres
     seen_from = choose_viewpoint(centres, predicted)
@@ -109,7 +112,7 @@ def draw_views(
     turned = _turn(centres, -yaw)
     bounds_m, pixel_m = _frame(turned, width_px)
     eye = _view(seen_from, width_px)
-    near, rows = _near_points(grid, chunks, seen_from.position, reach_m)
+    near, rows, measured = _near_points(grid, clouds, seen_from.position, reach_m)
     voxel_colours = {"predicted": colours(predicted)}
     if _has_truth(true):
         voxel_colours |= {"true": colours(true), "errors": error_colours(predicted, true)}
@@ -123,6 +126,11 @@ def draw_views(
         drawn[f"{name}_top"] = figures.map_view(top, entries, heading, pixel_m, np.pi / 2 - yaw)
         street = render_cloud(near, paint[rows], eye, point_size_m=0.06)
         drawn[f"{name}_street"] = figures.map_view(street, entries, heading)
+    for name, (of_points, of_voxels) in measured.items():
+        top, street = (grey_levels(v) if name == "intensity" else v.astype(np.uint8) for v in (of_voxels, of_points))
+        above = render_top(turned, top, pixel_m, bounds_m, point_size_m=2 * grid.size_m)
+        drawn[f"{name}_top"] = figures.map_view(above, [], _MEASURED[name], pixel_m, np.pi / 2 - yaw)
+        drawn[f"{name}_street"] = figures.map_view(render_cloud(near, street, eye, point_size_m=0.06), [], _MEASURED[name])
     return drawn
 
 
@@ -148,11 +156,31 @@ def _has_truth(true: np.ndarray | None) -> bool:
     return true is not None and bool((true != UNLABELLED).any())
 
 
-def _near_points(grid: VoxelGrid, chunks: Iterable[np.ndarray], position: np.ndarray, reach_m: float) -> tuple[np.ndarray, np.ndarray]:
-    kept = [points[np.hypot(*(points[:, :2] - position[:2]).T) < reach_m] for points in chunks]
-    near = np.concatenate([np.empty((0, 3)), *kept])
-    rows = grid.find(grid.keys_of(near))
-    return near[rows >= 0], rows[rows >= 0]
+def _near_points(
+    grid: VoxelGrid, clouds: Iterable[PointCloud], position: np.ndarray, reach_m: float
+) -> tuple[np.ndarray, np.ndarray, dict[str, tuple[np.ndarray, np.ndarray]]]:
+    """Points near the eye and their voxels; per field all clouds have, its values at those points and its mean in every voxel."""
+    points, rows, fields, sums = [np.empty((0, 3))], [np.empty(0, np.int64)], dict.fromkeys(_MEASURED), dict.fromkeys(_MEASURED, 0.0)
+    for cloud in clouds:
+        row = grid.find(grid.keys_of(cloud.points))
+        near = (row >= 0) & (np.hypot(*(cloud.points[:, :2] - position[:2]).T) < reach_m)
+        points.append(cloud.points[near])
+        rows.append(row[near])
+        for name in list(fields):
+            if name not in cloud.fields:
+                del fields[name]
+                continue
+            values = cloud.fields[name].astype(np.float64).reshape(len(cloud), -1)
+            fields[name] = [*(fields[name] or []), values[near]]
+            columns = [np.bincount(row[row >= 0], v[row >= 0], minlength=len(grid)) for v in values.T]
+            sums[name] = sums[name] + np.stack(columns, axis=1)
+    measured = {}
+    for name, parts in fields.items():
+        # A field that is one value throughout was left empty.
+        if parts and np.ptp(sums[name] / np.maximum(grid.counts, 1)[:, None]) > 0:
+            values, means = np.concatenate(parts), sums[name] / np.maximum(grid.counts, 1)[:, None]
+            measured[name] = (values[:, 0], means[:, 0]) if name == "intensity" else (values, means)
+    return np.concatenate(points), np.concatenate(rows), measured
 
 
 def _principal_yaw(points: np.ndarray) -> float:

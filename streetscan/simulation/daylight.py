@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numba
 import numpy as np
 
+from streetscan.classes import FACADE
 from streetscan.simulation.appearance import MATERIALS
 from streetscan.simulation.raycasting import Hits, SceneCaster, path_pose
 from streetscan.simulation.textures import GLOSS, LOOK_TABLE, MIRROR, TRANSLUCENCY, albedo_at, octaves, patterns_of
@@ -27,13 +28,14 @@ _GRID_STEP = 2
 
 @dataclass(frozen=True)
 class Daylight:
-    """Sun and sky.
+    """Sun and sky, and how much there is to see on walls.
 
     Attributes:
         sun_azimuth_deg: where the sun stands, counter-clockwise from easting.
         sun_elevation_deg: its height above the horizon.
         haze: 0 is a clear sky, 1 an overcast one: the sun loses, the sky gains.
         clouds: share of the sky under clouds.
+        wall_contrast: how much of their pattern facades show; 1 all of it, 0 none, as freshly painted walls.
         seed: of the clouds.
     """
 
@@ -41,6 +43,7 @@ class Daylight:
     sun_elevation_deg: float = 48.0
     haze: float = 0.15
     clouds: float = 0.35
+    wall_contrast: float = 1.0
     seed: int = 1
 
     @property
@@ -64,6 +67,15 @@ class Daylight:
         clear, grey = np.array([0.135, 0.170, 0.235]), np.array([0.33, 0.34, 0.35])
         share = min(self.haze + 0.3 * self.clouds, 1.0)
         return (0.25 + 0.75 * min(height / 0.6, 1.0)) * ((1 - share) * clear + share * grey)
+
+
+# Stretches that are hard on purpose, besides dense traffic, which is a setting of the street. The low sun stands where the
+# caller turns it, as a rule ahead: dataclasses.replace(HARD_DAYLIGHT["low_sun"], sun_azimuth_deg=heading).
+HARD_DAYLIGHT = {
+    "low_sun": Daylight(sun_elevation_deg=7.0, haze=0.25, clouds=0.15),
+    "bare_walls": Daylight(wall_contrast=0.0),
+    "overcast": Daylight(haze=1.0, clouds=0.0),
+}
 
 
 @dataclass
@@ -106,6 +118,7 @@ class Lighting:
     def __init__(self, caster: SceneCaster, daylight: Daylight):
         self.caster, self.daylight = caster, daylight
         self._patterns = patterns_of(caster.materials, caster.labels)
+        self._contrasts = np.where(caster.labels == FACADE, daylight.wall_contrast, 1.0).astype(np.float32)
         self._colours = _SRGB_TO_LINEAR[caster.colours]
         self._sky = np.concatenate(
             [daylight.sun_direction, daylight.sun_light, daylight.sky_light, [daylight.clouds, daylight.seed, daylight.haze]]
@@ -180,6 +193,7 @@ class Lighting:
             self._patterns,
             caster.materials,
             self._colours,
+            self._contrasts,
             LOOK_TABLE,
         )
         return Seen(np.zeros_like(albedo), hits, points, normals, self._sunlit(points, normals, hits, times_s)), albedo
@@ -244,6 +258,8 @@ class Lighting:
         hits, points, normals, radiance = seen.hits, seen.points, seen.normals, seen.radiance
         materials = self.caster.materials[hits.faces]
         rows = np.flatnonzero((hits.faces >= 0) & (LOOK_TABLE[materials, MIRROR] > 0))
+        # Rays that one plane mirrors run side by side, and are cheap to cast together.
+        rows = rows[np.argsort(hits.faces[rows], kind="stable")]
         if len(rows) == 0:
             return
         d, n = directions[rows], normals[rows]
@@ -301,6 +317,7 @@ def _surfaces(
     patterns,
     materials,
     colours,
+    contrasts,
     looks,
 ):
     """Points, normals towards the viewer and albedos of hits; NaN, 0 and 0 where nothing is hit."""
@@ -346,7 +363,8 @@ def _surfaces(
         )
         points[r, 0], points[r, 1], points[r, 2] = px, py, pz
         normals[r, 0], normals[r, 1], normals[r, 2] = side * mx, side * my, side * nz
-        albedo[r, 0], albedo[r, 1], albedo[r, 2] = c[0], c[1], c[2]
+        for k in range(3):
+            albedo[r, k] = base[k] + contrasts[face] * (c[k] - base[k])
     return points, normals, albedo
 
 
@@ -356,7 +374,7 @@ def _sky_radiance(dx, dy, dz, sky, spread_rad):
     towards = dx * sky[0] + dy * sky[1] + dz * sky[2]
     up = max(dz, 0.0)
     horizon = np.exp(-5.0 * up)
-    glow = 0.35 * max(towards, 0.0) ** 12 + 2.0 * max(towards, 0.0) ** 400
+    glow = 0.4 * max(towards, 0.0) ** 10 + 5.0 * max(towards, 0.0) ** 200
     r = sky[6] * (0.75 + 2.6 * horizon) + glow * sky[3]
     g = sky[7] * (1.10 + 1.8 * horizon) + glow * sky[4]
     b = sky[8] * (1.50 + 0.7 * horizon) + glow * sky[5]

@@ -12,12 +12,16 @@ from scipy.spatial import cKDTree
 
 from streetscan.classes import NAMES, PHANTOM, UNLABELLED
 from streetscan.clouds import PointCloud
+from streetscan.simulation.layout import build_street, count_blocks
 from streetscan.simulation.raycasting import SceneCaster
 from streetscan.simulation.receiver import Receiver, measure
+from streetscan.simulation.recording import Errors, draw_bursts, plan_passes
+from streetscan.simulation.sensors import mobile_mapper
 from streetscan.voxels import find_sorted, pack_keys
 
 COLUMNS = ("statistic", "group", "x", "value", "n")
 _VOXEL_M = 0.1
+_BURST = 2000
 _PATCH_M = 0.5
 _MIN_PATCH_POINTS = 50
 # A patch counts as flat below this; kerbs, cornices and crowns lie above.
@@ -46,7 +50,8 @@ def describe_map(
         table with the columns `statistic, group, x, value, n`:
         `class_share` (group: class), `intensity_share` (group: class or all; x: upper bin edge, share of the group's points),
         `mixed_share` and `edge_width_m` (only with time_s), `plane_residual_m` (group: road, facade and the same with `_one_pass`;
-        x: quantile), `points_per_voxel` (group: class; x: quantile), `isolated_share`, `density_per_m2` (x: range, lower bin edge).
+        x: quantile), `points_per_voxel` (group: class; x: quantile), `isolated_share`, `ground_density_per_m2` (x: quantile of the
+        square metres of ground), `density_per_m2` (x: range, lower bin edge).
     """
     rows: list[tuple] = []
     sample = _sample(clouds, tile_m, tile_share, rows)
@@ -62,9 +67,69 @@ def describe_map(
     # Some files have the field and leave it empty.
     if intensity is not None and np.ptp(intensity) > 0:
         rows += _intensity_rows(intensity, labels)
+    cells, densities = _ground_densities(local, labels)
+    rows += [("ground_density_per_m2", "ground", q, float(np.quantile(densities, q)), len(densities)) for q in _QUANTILES if len(densities)]
     if track is not None:
-        rows += _density_rows(local, labels, np.asarray(track, np.float64) - origin, max_range_m)
+        rows += _density_rows(cells, densities, np.asarray(track, np.float64) - origin, max_range_m)
     return pd.DataFrame(rows, columns=COLUMNS)
+
+
+def density_around(
+    clouds: Iterable[tuple[PointCloud, np.ndarray | None]],
+    position: np.ndarray,
+    max_range_m: float = 40.0,
+    time_span_s: tuple[float, float] | None = None,
+) -> pd.DataFrame:
+    """Points per square metre of ground against the distance from one place (thesis Fig. 2.3, inventory N-009).
+
+    Args:
+        clouds: as for `describe_map`; only what lies within range of the place is kept.
+        position: (3,) the place, metres, frame `map`.
+        max_range_m: horizontally.
+        time_span_s: leaves out the points measured at other times; None keeps all.
+    Returns:
+        rows of `density_per_m2` (x: distance, lower edge of a bin of 2 m; value: median over the square metres; n: how many).
+    """
+    kept: list[tuple] = []
+    for cloud, labels in clouds:
+        near = np.hypot(*(cloud.points[:, :2] - position[:2]).T) < max_range_m + 2
+        if time_span_s is not None:
+            near &= (cloud.fields["time_s"] >= time_span_s[0]) & (cloud.fields["time_s"] < time_span_s[1])
+        labels = np.full(len(cloud), UNLABELLED, np.uint8) if labels is None else np.asarray(labels, np.uint8)
+        kept.append((cloud.points[near], labels[near]))
+    points, labels = (np.concatenate(column) for column in zip(*kept, strict=True))
+    origin = np.floor(position)
+    rows = _density_rows(*_ground_densities(points - origin, labels), (np.asarray(position, np.float64) - origin)[None], max_range_m)
+    return pd.DataFrame(rows, columns=COLUMNS)
+
+
+def probe_street(split: str, seed: int, length_m: float, settings: dict, n_pulses: int) -> tuple[np.ndarray, pd.DataFrame]:
+    """Where a mobile mapper drove in a street of the simulated city, and which of its pulses are heard.
+
+    Args:
+        split, seed, length_m: the street.
+        settings: of the data set's simulation: `street`, `scanners`, `receiver`, `errors`, `n_rounds`.
+        n_pulses: pulses tried, in bursts of 2000 spread over the first drive of each block.
+    Returns:
+        track (K, 3) of the vehicle every 0.1 s, metres, frame `map`, and the table of `measure_return_rates`.
+    """
+    street = settings["street"] | {"length_m": length_m}
+    n_blocks = count_blocks(length_m)
+    tracks, tables = [], []
+    for b in range(n_blocks):
+        scene = build_street(split=split, seed=seed, n_rounds=settings["n_rounds"], block=b, **street)
+        passes = plan_passes(scene, Errors(**settings["errors"]), seed + 7919 * b, settings["n_rounds"])
+        tracks += [p.truth.positions[::20] for p in passes]
+        caster = SceneCaster(scene, passes[0].truth.start_s, passes[0].truth.end_s)
+        for number, scanner in enumerate(mobile_mapper(**settings["scanners"])):
+            rng = np.random.default_rng([seed, 8, b, number])
+            pulses = draw_bursts(passes[0], scanner, max(n_pulses // n_blocks // 2 // _BURST, 1), _BURST, rng)
+            tables.append(measure_return_rates(caster, *pulses, Receiver(**settings["receiver"]), rng))
+    table = pd.concat(tables)
+    table["heard"] = table["value"] * table["n"]
+    sums = table.groupby(["statistic", "group", "x"], sort=False, as_index=False)[["heard", "n"]].sum()
+    sums["value"] = sums["heard"] / sums["n"]
+    return np.concatenate(tracks), sums[list(COLUMNS)]
 
 
 def measure_return_rates(
@@ -103,6 +168,9 @@ def _sample(clouds: Iterable, tile_m: float, tile_share: float, rows: list) -> t
             continue
         labels = np.full(len(cloud), UNLABELLED, np.uint8) if labels is None else np.asarray(labels, np.uint8)
         counts += np.bincount(labels, minlength=256)
+        if "time_s" in cloud.fields and np.ptp(cloud.fields["time_s"]) == 0:
+            # A LAS file has the field even where nobody knows the times.
+            cloud = PointCloud(cloud.points, {k: v for k, v in cloud.fields.items() if k != "time_s"})
         if "time_s" in cloud.fields:
             mixed, edges, step = _count_edges(cloud.points, cloud.fields["time_s"])
             n_mixed, n_edges = n_mixed + mixed, n_edges + edges
@@ -114,9 +182,8 @@ def _sample(clouds: Iterable, tile_m: float, tile_share: float, rows: list) -> t
     if n == 0:
         return None
     rows += [("class_share", NAMES[c] if c < len(NAMES) else "unlabelled", np.nan, counts[c] / n, n) for c in np.flatnonzero(counts)]
-    if counts[UNLABELLED] == n:
-        counts[:] = 0  # without labels "no phantom" is not known
-    else:
+    # Without labels, or where nobody labelled phantoms, "no phantom" is not known.
+    if counts[PHANTOM]:
         rows.append(("phantom_share", "labelled", np.nan, counts[PHANTOM] / (n - counts[UNLABELLED]), n))
     if n_edges:
         rows.append(("mixed_share", "all", np.nan, n_mixed / n_edges, n_edges))
@@ -154,7 +221,9 @@ def _count_edges(points: np.ndarray, time_s: np.ndarray) -> tuple[int, int, floa
         return 0, 0, 0.0
     moves = np.diff(points, axis=0)
     steps = np.linalg.norm(moves, axis=1)
-    steps[np.diff(time_s) < 0] = np.inf
+    # Some files hold each beam's points from the last to the first.
+    forward = np.diff(time_s) * (1 if np.median(np.diff(time_s)) >= 0 else -1)
+    steps[forward < 0] = np.inf
     plain = (steps[1:-1] > _JUMP_M) & (steps[1:-1] < 10) & (np.maximum(steps[:-2], steps[2:]) < steps[1:-1] / 4)
     chords = points[3:-1] - points[1:-3]
     lengths = np.linalg.norm(chords, axis=1)
@@ -221,11 +290,13 @@ def _intensity_rows(intensity: np.ndarray, labels: np.ndarray) -> Iterator[tuple
                 yield "intensity_share", group, float(edge), float(share), int(member.sum())
 
 
-def _density_rows(points: np.ndarray, labels: np.ndarray, track: np.ndarray, max_range_m: float) -> Iterator[tuple]:
-    """Median points per square metre of open ground against the horizontal distance from the track.
+def _ground_densities(points: np.ndarray, labels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Square metres with open ground, (C, 2) int64 lower corners, and the points of ground in each, (C,).
 
     Ground is what is labelled so; without labels, what lies within 0.15 m of the lowest point of a 1 m cell.
     """
+    if len(points) == 0:
+        return np.empty((0, 2), np.int64), np.empty(0, np.int64)
     cells, group, counts = np.unique(np.floor(points[:, :2]).astype(np.int64), axis=0, return_inverse=True, return_counts=True)
     group = group.reshape(-1)
     if (labels != UNLABELLED).any():
@@ -235,9 +306,14 @@ def _density_rows(points: np.ndarray, labels: np.ndarray, track: np.ndarray, max
         np.minimum.at(lowest, group, points[:, 2])
         is_ground = points[:, 2] < lowest[group] + 0.15
     densities = np.bincount(group[is_ground], minlength=len(counts))
+    return cells[densities > 0], densities[densities > 0]
+
+
+def _density_rows(cells: np.ndarray, densities: np.ndarray, track: np.ndarray, max_range_m: float) -> Iterator[tuple]:
+    """Median points per square metre of open ground against the horizontal distance from the track."""
     distances = cKDTree(track[:, :2]).query(cells + 0.5)[0]
     for low in np.arange(0, max_range_m, 2.0):
-        member = (distances >= low) & (distances < low + 2) & (densities > 0)
+        member = (distances >= low) & (distances < low + 2)
         if member.any():
             yield "density_per_m2", "ground", float(low), float(np.median(densities[member])), int(member.sum())
 

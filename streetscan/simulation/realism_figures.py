@@ -40,6 +40,19 @@ def draw_realism_sheet(tables: dict[str, pd.DataFrame]) -> Figure:
     return figure
 
 
+def draw_density_curves(tables: dict[str, pd.DataFrame]) -> Figure:
+    """Point density against the distance from one place, a line per map (thesis Fig. 2.3).
+
+    Args:
+        tables: name of a map to its table of `streetscan.simulation.realism.density_around`.
+    """
+    figure = Figure(figsize=(7.2, 3.6), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.subplots()
+    _lines(axes, tables, "density_per_m2", "ground", "distance from the tripod [m]", "points per m² of ground", log=True)
+    return figure
+
+
 def _select(table: pd.DataFrame, statistic: str, group: str | None = None) -> pd.DataFrame:
     rows = table[table.statistic == statistic]
     return rows if group is None else rows[rows.group == group]
@@ -89,7 +102,9 @@ def _shares(axes: Axes, tables: dict) -> None:
         for _, row in _select(table, "class_share").iterrows():
             axes.barh(i, row.value, left=left, color=_CLASS_COLOURS[row.group])
             if row.value > 0.08:
-                axes.text(left + row.value / 2, i, f"{row.group}\n{100 * row.value:.1f} %", ha="center", va="center", fontsize=7)
+                text = f"{row.group}\n{100 * row.value:.1f} %" if row.value < 1 else "no labels"
+                ink = "white" if row.group == "unlabelled" else "black"
+                axes.text(left + row.value / 2, i, text, ha="center", va="center", fontsize=7, color=ink)
             left += row.value
     axes.set_yticks(range(len(tables)), list(tables))
     axes.set_xlabel("share of the points")
@@ -97,14 +112,20 @@ def _shares(axes: Axes, tables: dict) -> None:
 
 def _numbers(axes: Axes, tables: dict) -> None:
     axes.axis("off")
-    wanted = (("phantom_share", 100, "%"), ("mixed_share", 100, "%"), ("edge_width_m", 1000, "mm"), ("isolated_share", 100, "%"))
+    wanted = (
+        ("phantom_share", "phantoms", 100, "%"),
+        ("mixed_share", "mixed edges", 100, "%"),
+        ("edge_width_m", "edge width", 1000, "mm"),
+        ("isolated_share", "stray points", 100, "%"),
+        ("ground_density_per_m2", "ground, median", 1, "per m²"),
+    )
     cells = []
     for table in tables.values():
-        found = [_select(table, s).value for s, *_ in wanted]
-        cells.append([f"{f * float(v.iloc[0]):.2f} {unit}" if len(v) else "n/a" for v, (_, f, unit) in zip(found, wanted, strict=True)])
-    axes.table(
-        cells, rowLabels=list(tables), colLabels=[s.replace("_m", "").replace("_", " ") for s, *_ in wanted], loc="center", cellLoc="right"
-    )
+        found = [_select(table, s) for s, *_ in wanted]
+        found = [rows.value[rows.x.isna() | (rows.x == 0.5)] for rows in found]
+        cells.append([f"{f * float(v.iloc[0]):.3g} {unit}" if len(v) else "n/a" for v, (*_, f, unit) in zip(found, wanted, strict=True)])
+    table = axes.table(cells, rowLabels=list(tables), colLabels=[heading for _, heading, *_ in wanted], loc="center", cellLoc="right")
+    table.scale(1, 1.5)
 
 
 def _finish(axes: Axes, x: str, y: str, log: bool) -> None:

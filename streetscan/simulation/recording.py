@@ -15,6 +15,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 from scipy.spatial.transform import Rotation
 
+from streetscan.classes import GROUND
 from streetscan.clouds import PointCloud
 from streetscan.errors import BadInput
 from streetscan.io.las import open_las_writer
@@ -257,6 +258,22 @@ def _colour(caster, drive: Pass, points: np.ndarray, times_s: np.ndarray, camera
     return colour_points(caster, points, positions[pictures], yaws[pictures], all_times_s[pictures], pictures, cameras, seeds, rng)
 
 
+def draw_bursts(
+    drive: Pass, scanner: ProfileScanner, n_bursts: int, n_pulses: int, rng: np.random.Generator
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Pulses a scanner fires during a drive, in bursts of consecutive ones at random moments.
+
+    Returns:
+        origins (n, 3) float64 and directions (n, 3) float32, frame `map`, and times (n,) float64, without those that hit the own roof.
+    """
+    span_s = n_pulses / scanner.pulses_per_s
+    starts = np.sort(rng.uniform(drive.truth.start_s, max(drive.truth.end_s - span_s, drive.truth.start_s), n_bursts))
+    times_s = (starts[:, None] + np.arange(n_pulses) / scanner.pulses_per_s).ravel()
+    body = scanner.directions(times_s - drive.truth.start_s)
+    seen = ~hits_own_vehicle(scanner.position_m, body)
+    return *_place(drive.truth, times_s[seen], scanner.position_m, body[seen]), times_s[seen]
+
+
 def record_street(
     split: str,
     seed: int,
@@ -300,7 +317,7 @@ def record_static(
         records in order of time; `cloud` has no rgb.
     """
     n_columns = max(_CHUNK_PULSES // scanner.n_rows, 1)
-    turn_s = scanner.n_columns * scanner.n_rows / scanner.pulses_per_s
+    turn_s = scanner.panorama_s
     for p, position in enumerate(np.asarray(positions, np.float64)):
         heading = np.random.default_rng([seed, 4, p]).uniform(0, 2 * np.pi)
         rotation = _rotations(np.zeros(1), np.zeros(1), np.array([heading]))[0].astype(np.float32)
@@ -315,6 +332,70 @@ def record_static(
             rows = returns.pulses
             points = origins[rows] + returns.ranges_m[:, None] * directions[rows]
             yield _as_record(caster, returns, points, times_s[rows], None, scene.crs)
+
+
+def record_static_street(
+    split: str, seed: int, street: dict, scanner: StaticScanner, receiver: Receiver, spacing_m: float
+) -> Iterator[Record]:
+    """The map of a tripod carried along the simulated city's street of one split, block by block in constant memory.
+
+    Args:
+        split, seed, street: as for `record_street`; what stands is the same, the traffic is that of its own hour.
+        scanner, receiver: their settings.
+        spacing_m: between neighbouring positions along the street.
+    Yields:
+        records in order of time; `cloud` has no rgb.
+    """
+    clock_s = 0.0
+    for b in range(count_blocks(street["length_m"])):
+        n = len(_tripod_stations(street, b, spacing_m))
+        span_s = n * scanner.panorama_s
+        scene = build_street(split=split, seed=seed, block=b, time_span_s=(-10.0, span_s), **street)
+        positions = tripod_positions(scene, street, b, spacing_m)
+        for record in record_static(scene, positions, scanner, receiver, seed + 7919 * b):
+            record.cloud.fields["time_s"] += clock_s
+            yield record
+        clock_s += span_s
+
+
+def tripod_positions(scene: Scene, street: dict, block: int, spacing_m: float) -> np.ndarray:
+    """(P, 3) places for a tripod in a block: on the sidewalk, on the left and the right in turn, where nothing stands.
+
+    ASSUME: a panorama every `spacing_m`, 12.3 m from the street's axis between the rows of furniture; where something stands within
+    0.8 m, further along or on the other side, as an operator would choose.
+    """
+    road = scene.roads[0]
+    along = np.append(0, np.cumsum(np.linalg.norm(np.diff(road, axis=0), axis=1)))
+    solid = scene.static.vertices[np.unique(scene.static.triangles[scene.static.labels != GROUND])]
+    positions = []
+    for k, station in enumerate(_tripod_stations(street, block, spacing_m)):
+        first_side = 1 - 2 * (k % 2)
+        best_m, best = -1.0, None
+        for step, side in itertools.product(np.arange(0.0, spacing_m / 2, 0.5), (first_side, -first_side)):
+            place = _beside(road, along, min(station + step, along[-1] - 0.5), 12.3 * side)
+            above = solid[:, 2] - place[2]
+            around = np.hypot(*(solid[(above > 0.3) & (above < 2.2), :2] - place[:2]).T)
+            clearance_m = float(around.min(initial=np.inf))
+            if clearance_m > best_m:
+                best_m, best = clearance_m, place
+            if best_m >= 0.8:
+                break
+        positions.append(best)
+    return np.array(positions)
+
+
+def _beside(road: np.ndarray, along: np.ndarray, s: float, t: float) -> np.ndarray:
+    """(3,) place t metres to the left of a centre line (K, 3) at s metres along it, as high as the line."""
+    behind, ahead = (np.array([np.interp(s + d, along, road[:, i]) for i in range(3)]) for d in (-0.5, 0.5))
+    forward = (ahead - behind)[:2] / np.linalg.norm((ahead - behind)[:2])
+    return (behind + ahead) / 2 + np.array([-t * forward[1], t * forward[0], 0])
+
+
+def _tripod_stations(street: dict, block: int, spacing_m: float) -> np.ndarray:
+    """Distances along a block's road, evenly spread."""
+    length_m = street["length_m"] / count_blocks(street["length_m"])
+    n = max(1, round(length_m / spacing_m))
+    return (np.arange(n) + 0.5) * length_m / n
 
 
 def write_map(records: Iterable[Record], map_path: str | Path, labels_path: str | Path, instances_path: str | Path) -> int:

@@ -96,6 +96,11 @@ class StaticScanner:
         """Vertical lines of a full turn."""
         return round(360.0 / self.step_deg)
 
+    @property
+    def panorama_s(self) -> float:
+        """Duration of a full turn."""
+        return self.n_columns * self.n_rows / self.pulses_per_s
+
     def directions(self, first_column: int, n_columns: int) -> np.ndarray:
         """(n_columns * n_rows, 3) float32 unit vectors of some vertical lines, x towards column 0, in firing order."""
         azimuths = np.radians((first_column + np.arange(n_columns)) * self.step_deg)[:, None]

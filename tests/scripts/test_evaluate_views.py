@@ -37,12 +37,14 @@ def inputs(tiny_map, tiny_world, tmp_path):
 def test_pictures_with_truth(inputs, tmp_path):
     evaluate_views.main(**inputs, truth_path=str(tmp_path / "labels.npy"), folder=str(tmp_path / "views"))
     names = {f"{kind}_{side}.png" for kind in ("predicted", "true", "errors") for side in ("top", "street")}
+    names |= {f"{kind}_{side}.jpg" for kind in ("intensity", "rgb") for side in ("top", "street")}
     assert {p.name for p in (tmp_path / "views").iterdir()} == names | {"class_shares.svg", "reliability.svg"}
 
 
 def test_pictures_without_truth(inputs, tmp_path):
     evaluate_views.main(**inputs, truth_path=None, folder=str(tmp_path / "views"))
-    assert {p.name for p in (tmp_path / "views").iterdir()} == {"predicted_top.png", "predicted_street.png", "class_shares.svg"}
+    labels = {p.name for p in (tmp_path / "views").iterdir() if p.suffix != ".jpg"}
+    assert labels == {"predicted_top.png", "predicted_street.png", "class_shares.svg"}
 
 
 def test_an_incomplete_label_map_is_refused(inputs, tmp_path):

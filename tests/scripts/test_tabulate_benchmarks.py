@@ -20,6 +20,7 @@ TABLES |= {"nagy_3_1", "localization"}
 REGISTERED = [("my_drive", "ndt_tall"), ("my_drive", "ndt_raw"), ("my_drive", "kiss_icp")]
 LOCALIZED = [("city", "my_drive", m, n, "main_road") for m, n in (("raw", "voting_8"), ("c2cnn", "voting_8"), ("c2cnn", "crossmodal"))]
 EVALUATED = [("city", "c2cnn"), ("oakland", "c2cnn_from_city")]
+REALISM = {"simulated": ["city"], "compared": ["city", "oakland"], "not_compared": ["amsterdam"], "static_scans": {"city_tls": "city"}}
 FACTS = {"city": {"year": 2026, "n_classes": 9}, "oakland": {"sensor": "SICK LMS (MLS)", "n_points": None}}
 
 
@@ -72,6 +73,10 @@ def inputs(tmp_path):
     grid = tmp_path / "my_drive" / "scores.csv"
     score_grid(np.diag([0, 9, 5, 8])).to_csv(grid, index=False)
     paths |= {"grids": [str(grid)], "streets": [str(tmp_path / "street.png")], "frames": [str(frames)]}
+    statistics = pd.DataFrame({"statistic": "density_per_m2", "group": "ground", "x": [0.0, 2.0], "value": [900.0, 300.0], "n": 5})
+    statistics.to_csv(tmp_path / "realism.csv", index=False)
+    pd.concat([statistics.assign(scanner=s) for s in ("static", "mobile")]).to_csv(tmp_path / "density.csv", index=False)
+    paths |= {"realism": [str(tmp_path / "realism.csv")] * 2, "densities": [str(tmp_path / "density.csv")]}
     return paths | {"histories": [str(tmp_path / "history.csv")], "views": [str(views)]}
 
 
@@ -111,6 +116,7 @@ def run(inputs, folder):
         merged=REGISTERED[:1],
         localized=LOCALIZED,
         facts=FACTS,
+        realism=REALISM,
         config=CONFIG,
     )
 
@@ -129,6 +135,12 @@ def test_all_outputs(inputs, tmp_path):
     html = (tmp_path / "out" / "report.html").read_text()
     for text in ("streetscan: run try", "Map my_street", "without truth nothing can be scored", "labelled_maps:", "Drive My drive"):
         assert text in html
+    # The simulated maps beside real ones, what is missing for it, and the yardsticks.
+    for text in ("Realism of the simulated maps", "Not compared", "Amsterdam", "Static and mobile scanner", "not in this run"):
+        assert text in html
+    realism = pd.read_csv(tmp_path / "out" / "tables" / "realism.csv")
+    assert realism["map"].tolist() == ["city", "city", "oakland", "oakland"]
+    assert set(pd.read_csv(tmp_path / "out" / "tables" / "density.csv")["scanner"]) == {"static", "mobile"}
 
 
 def test_registered_drives(inputs, tmp_path):

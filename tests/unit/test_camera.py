@@ -15,7 +15,7 @@ from streetscan.simulation.camera import (
     render,
     settle_exposure,
 )
-from streetscan.simulation.daylight import Daylight
+from streetscan.simulation.daylight import HARD_DAYLIGHT, Daylight
 from streetscan.simulation.meshes import Surface, box, join, quads
 from streetscan.simulation.raycasting import SceneCaster
 from streetscan.simulation.recording import Trajectory
@@ -223,9 +223,8 @@ def test_the_automatic_finds_the_exposure_in_light_and_in_shade():
     # After a jump into the dark it takes some pictures.
     auto, values = AutoExposure(chosen[0]), []
     for _ in range(8):
-        values.append(
-            linear(render(SceneCaster(dark, 0.5, 1.5), still(), AHEAD, camera, 1.0, auto, np.random.default_rng(0), CLEAR).rgb).mean()
-        )
+        picture = render(SceneCaster(dark, 0.5, 1.5), still(), AHEAD, camera, 1.0, auto, np.random.default_rng(0), CLEAR)
+        values.append(linear(picture.rgb).mean())
     assert values[0] < 0.3 * camera.target
     assert values[1] > values[0]
     assert values[-1] == pytest.approx(camera.target, rel=0.4)
@@ -259,16 +258,21 @@ def test_a_box_throws_its_shadow_away_from_the_sun():
 
 def test_low_sun_saturates_and_a_dark_day_does_not():
     facing = Daylight(sun_azimuth_deg=0.0, sun_elevation_deg=6.0, clouds=0.0)
-    ground = quads(np.array([[[-50.0, -50, 0], [90, -50, 0], [90, 50, 0], [-50, 50, 0]]]), Surface(GROUND, "asphalt", (82, 82, 84)))
-    low, overcast = (
-        take(Scene(ground), SMALL, still(), daylight=d, exposure_s=1.2e-3).rgb for d in (facing, Daylight(haze=1.0, clouds=0.0))
-    )
+    ground = Scene(level(-80.0, 80.0, 0.0, Surface(GROUND, "asphalt", (82, 82, 84))))
+    low, overcast = (take(ground, SMALL, still(), daylight=d, exposure_s=1.2e-3).rgb for d in (facing, HARD_DAYLIGHT["overcast"]))
     is_white = (low == 255).all(axis=2)
     assert is_white.sum() > 20
     v, u = (int(np.median(c)) for c in np.nonzero(is_white))
     expected = project(np.array([facing.sun_direction]) @ AHEAD[:3, :3], SMALL.model)[0]
     np.testing.assert_allclose([u, v], expected, atol=8)
     assert (overcast == 255).all(axis=2).sum() == 0
+
+
+def test_a_bare_wall_shows_next_to_nothing():
+    camera = Camera(**{**SMALL.__dict__, "full_well": 1e9, "read_noise": 0.0})
+    wall = Scene(join([floor(), plate(8.0, 0, 2, 20.0, Surface(FACADE, "plaster", (150, 140, 120)))]))
+    plain, rich = (linear(take(wall, camera, still(), daylight=d).rgb) for d in (HARD_DAYLIGHT["bare_walls"], CLEAR))
+    assert plain[40:140, 60:180].std() < 0.1 * rich[40:140, 60:180].std()
 
 
 def test_the_mapping_vehicle_looks_all_round():

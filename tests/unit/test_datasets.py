@@ -186,3 +186,24 @@ def test_the_schema_describes_and_closes_every_level():
                 walk(child, f"{place}[{i}]")
 
     walk(yaml.safe_load(SCHEMA.read_text()), "schema")
+
+
+def test_a_static_scan_is_of_the_streets_it_names():
+    files = {path.stem: yaml.safe_load(path.read_text()) for path in (CONFIG / "datasets").glob("*.yaml")}
+    static = {name: facts for name, facts in files.items() if "static_scanner" in facts.get("simulation", {})}
+    assert "city_tls" in static
+    for name, facts in static.items():
+        mobile = files[facts["same_streets_as"]]
+        # Lengths, slopes and seeds shape the streets; any difference would make them others.
+        assert {p: v["length_m"] for p, v in facts["parts"].items()} == {p: v["length_m"] for p, v in mobile["parts"].items()}, name
+        assert facts["simulation"]["street"] == mobile["simulation"]["street"], name
+
+
+@pytest.mark.parametrize("missing", ["scanners", "n_rounds", "errors"])
+def test_a_simulation_needs_a_mobile_mapper_or_a_static_scanner(missing, tmp_path):
+    facts = yaml.safe_load((CONFIG / "datasets" / "city.yaml").read_text())
+    del facts["simulation"][missing]
+    with pytest.raises(BadInput, match=missing):
+        load(tmp_path, facts, "city")
+    facts["simulation"]["static_scanner"] = {"spacing_m": 40}
+    load(tmp_path, facts, "city")

@@ -7,7 +7,7 @@ from streetscan.classes import CAR, FACADE, GROUND, PHANTOM, UNLABELLED
 from streetscan.clouds import PointCloud
 from streetscan.simulation.meshes import Surface, quads
 from streetscan.simulation.raycasting import SceneCaster
-from streetscan.simulation.realism import COLUMNS, describe_map, measure_return_rates
+from streetscan.simulation.realism import COLUMNS, density_around, describe_map, measure_return_rates
 from streetscan.simulation.realism_figures import draw_realism_sheet
 from streetscan.simulation.receiver import Receiver
 from streetscan.simulation.scene import Scene
@@ -58,6 +58,24 @@ def test_density_is_counted_on_the_ground_at_its_distance_from_the_track():
     assert value(unlabelled, "density_per_m2", "ground", 0.0) == pytest.approx(300, rel=0.05)
 
 
+def test_density_around_one_place_counts_its_own_time_and_range():
+    # 100 points on each square metre of ground within 20 m, and as many of another hour; a wall does not count.
+    rng = np.random.default_rng(0)
+    ground = np.c_[rng.uniform(0, 40, (160_000, 2)), np.zeros(160_000)]
+    wall = np.c_[np.full(5000, 12.5), rng.uniform(0, 40, 5000), rng.uniform(0, 3, 5000)]
+    points = np.r_[ground, ground, wall] + [1000.0, 2000.0, 50.0]
+    times = np.r_[np.zeros(160_000), np.full(160_000, 100.0), np.zeros(5000)]
+    labels = np.uint8([GROUND] * 320_000 + [FACADE] * 5000)
+    clouds = [(PointCloud(points[k::2], {"time_s": times[k::2]}), labels[k::2]) for k in range(2)]
+    place = np.array([1020.0, 2020.0, 50.0])
+    both, one = density_around(clouds, place, 10.0), density_around(clouds, place, 10.0, (0.0, 50.0))
+    assert both.x.tolist() == one.x.tolist() == [0.0, 2.0, 4.0, 6.0, 8.0]
+    np.testing.assert_allclose(both.value, 200, rtol=0.1)
+    np.testing.assert_allclose(one.value, 100, rtol=0.1)
+    unlabelled = [(cloud, None) for cloud, _ in clouds]
+    np.testing.assert_allclose(density_around(unlabelled, place, 10.0).value, 200, rtol=0.1)
+
+
 def test_shares_of_classes_and_phantoms():
     labels = np.uint8([GROUND] * 6 + [PHANTOM] * 2 + [UNLABELLED] * 2)
     table = describe_map([(PointCloud(np.random.default_rng(0).uniform(0, 1, (10, 3))), labels)], tile_share=1.0)
@@ -78,13 +96,23 @@ def test_points_per_voxel_and_stray_points():
     assert value(table, "isolated_share") == pytest.approx(1 / 11)
 
 
-def test_a_mixed_pixel_in_four_edges_is_found():
+def test_what_a_file_cannot_know_is_left_out():
+    points, labels = noisy_street(0.005)
+    # A LAS file has a time for every point even where all are 0, and a data set may have no class for phantoms.
+    known = labels != PHANTOM
+    table = describe_map([(PointCloud(points[known], {"time_s": np.zeros(known.sum())}), labels[known])], tile_share=1.0)
+    assert not {"phantom_share", "mixed_share", "edge_width_m"} & set(table.statistic)
+    assert not table.group.str.endswith("_one_pass").any()
+
+
+@pytest.mark.parametrize("step_s", [1e-5, -1e-5])
+def test_a_mixed_pixel_in_four_edges_is_found(step_s):
     line = [[x, 10.0 if (x * 10 // 25) % 2 else 11.0, 0] for x in np.arange(0, 12.5, 0.1)]
     points = np.array(line)
     jumps = np.flatnonzero(np.abs(np.diff(points[:, 1])) > 0.5)
     mixed = (points[jumps[0]] + points[jumps[0] + 1]) / 2
     points = np.insert(points, jumps[0] + 1, mixed, axis=0)
-    table = describe_map([(PointCloud(points, {"time_s": np.arange(len(points)) * 1e-5}), None)], tile_share=1.0)
+    table = describe_map([(PointCloud(points, {"time_s": np.arange(len(points)) * step_s}), None)], tile_share=1.0)
     assert len(jumps) == 4
     assert value(table, "mixed_share") == pytest.approx(1 / 4)
     assert value(table, "edge_width_m") == pytest.approx(0.1 / 4, rel=0.01)

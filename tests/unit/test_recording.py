@@ -9,9 +9,20 @@ from streetscan.classes import CAR, FACADE, GROUND, PHANTOM
 from streetscan.errors import BadInput
 from streetscan.io.las import read_las
 from streetscan.simulation.colouring import Cameras
+from streetscan.simulation.layout import build_street
 from streetscan.simulation.meshes import Surface, box, quads
 from streetscan.simulation.receiver import Receiver
-from streetscan.simulation.recording import Errors, Record, drive_road, plan_passes, record_map, record_static, write_map
+from streetscan.simulation.recording import (
+    Errors,
+    Record,
+    drive_road,
+    plan_passes,
+    record_map,
+    record_static,
+    record_static_street,
+    tripod_positions,
+    write_map,
+)
 from streetscan.simulation.scene import Actor, Mesh, Scene, join_meshes
 from streetscan.simulation.sensors import ProfileScanner, StaticScanner, mobile_mapper
 
@@ -241,6 +252,33 @@ def test_density_of_a_static_scanner_falls_steeply_with_the_range():
     expected = (1.7**2 + 6.25**2) * 6.25 / ((1.7**2 + 3.25**2) * 3.25)
     assert counts[0] / counts[1] == pytest.approx(expected, rel=0.1)
     assert "rgb" not in whole.cloud.fields
+
+
+def test_a_tripod_stands_on_the_sidewalk_where_nothing_else_does():
+    settings = {"length_m": 60.0, "traffic_density": 0.2, "n_pedestrians": 4.0}
+    scene = build_street(split="test", seed=1, block=0, time_span_s=(0.0, 1.0), **settings)
+    places = tripod_positions(scene, settings, 0, 20.0)
+    axis = scene.roads[0][:, :2]
+    assert np.abs([np.linalg.norm(axis - p[:2], axis=1).min() - 12.3 for p in places]).max() < 0.2
+    solid = scene.static.vertices[np.unique(scene.static.triangles[scene.static.labels != GROUND])]
+    ground = scene.static.vertices[np.unique(scene.static.triangles[scene.static.labels == GROUND])]
+    for place in places:
+        above = solid[:, 2] - place[2]
+        near = (np.linalg.norm(solid[:, :2] - place[:2], axis=1) < 0.7) & (above > 0.3) & (above < 2.2)
+        assert not near.any()
+        assert abs(ground[np.linalg.norm(ground[:, :2] - place[:2], axis=1).argmin(), 2] - place[2]) < 0.25
+
+
+def test_a_static_street_is_recorded_panorama_after_panorama():
+    settings = {"length_m": 40.0, "traffic_density": 0.2, "n_pedestrians": 4.0}
+    scanner = StaticScanner(step_deg=0.6)
+    records = [gather(record_static_street("test", seed, settings, scanner, Receiver(), 20.0)) for seed in (1, 1, 2)]
+    times = records[0].cloud.fields["time_s"]
+    assert set((times // scanner.panorama_s).astype(int)) == {0, 1}
+    assert (np.diff(times) >= 0).all()
+    np.testing.assert_array_equal(records[0].cloud.points, records[1].cloud.points)
+    assert len(records[0].labels) != len(records[2].labels)
+    assert {GROUND, FACADE} <= set(records[0].labels)
 
 
 def test_streets_recorded_one_after_the_other_share_one_clock():

@@ -209,3 +209,48 @@ def test_the_run_is_described():
 def test_the_file_is_whole(tmp_path, scores, sections):
     report.write_report(tmp_path / "out" / "report.html", render(scores, sections))
     assert (tmp_path / "out" / "report.html").read_text().rstrip().endswith("</html>")
+
+
+def test_yardsticks_say_what_holds_what_fails_and_what_is_not_known():
+    scores = tidy(
+        [
+            ("city", "c2cnn", "overall", 85.0), ("city", "lightgbm", "overall", 81.0), ("city", "og_cnn", "overall", 80.0),
+            ("city", "og_cnn", "phantom", 49.3),
+        ]
+    )  # fmt: skip
+    lines = {(line["dataset"], line["name"]): (line["found"], line["verdict"]) for line in report.yardsticks(scores, ["city"])}
+    assert lines["City", "OG-CNN, F overall"] == ("80.0", "holds")
+    assert lines["City", "OG-CNN, recall of phantoms"] == ("49.3", "holds")
+    assert lines["City", "C²CNN's F above LightGBM's"] == ("4.0", "fails")
+    oakland = {found for (dataset, _), found in lines.items() if dataset == "Oakland"}
+    assert oakland == {("not in this run", "")}
+    assert len(lines) == 7
+    # The city's network on Oakland is scored in groups of classes.
+    row = make_score("nagy_2_4", "vehicle", "c2cnn_city", "f", 22.3, "%", 50, "oakland", "c2cnn_city", 1)
+    scores = pd.concat([scores, pd.DataFrame([row])], ignore_index=True)
+    found = [line for line in report.yardsticks(scores, ["city"]) if "Vehicle" in line["name"]]
+    assert found[0]["found"] == "22.3"
+    assert report.yardsticks(scores, []) == []
+
+
+def test_the_yardsticks_stand_in_the_page_with_the_generators_version(scores, sections):
+    page = Page(render(scores, sections, simulated=["city"]))
+    assert f"Generator version {report.GENERATOR_VERSION}" in page.words
+    assert "C²CNN's F above LightGBM's" in page.words
+    assert "Yardsticks" not in Page(render(scores, sections)).words
+
+
+def test_the_scan_is_shown_by_class_intensity_and_colour_once_per_map(tmp_path, scores):
+    views = tmp_path / "views"
+    views.mkdir()
+    for name in ("predicted_top.png", "true_top.png", "true_street.png", "intensity_top.jpg", "rgb_top.jpg", "rgb_street.jpg"):
+        (views / name).write_bytes(b"\x89PNG")
+    (section,) = report.draw_sections(tmp_path / "figures", scores, [], {}, {("city", "c2cnn"): views, ("city", "og_cnn"): views})
+    shown = {gallery.anchor: [name for name, _ in gallery.pictures] for gallery in section.galleries}
+    assert shown == {"scan-city-street": ["Class", "Colour"], "scan-city-top": ["Class", "Intensity", "Colour"]}
+    Page(render(scores, [section]))
+    # A map that has neither intensity nor colour is shown by its labels alone.
+    for name in ("intensity_top", "rgb_top", "rgb_street"):
+        (views / f"{name}.jpg").unlink()
+    (section,) = report.draw_sections(tmp_path / "figures", scores, [], {}, {("city", "c2cnn"): views})
+    assert section.galleries == []

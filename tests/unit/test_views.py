@@ -5,6 +5,7 @@ import pytest
 
 from streetscan.benchmarks import figures, views
 from streetscan.classes import CAR, GROUND, UNLABELLED
+from streetscan.clouds import PointCloud
 from streetscan.voxels import VoxelGrid, voxelize
 
 
@@ -63,8 +64,9 @@ def test_all_views_of_a_map_with_truth(street, tiny_world):
     grid, true = street
     predicted = np.where(true == UNLABELLED, GROUND, true).astype(np.uint8)
     predicted[::10] = CAR
-    drawn = views.draw_views(grid, predicted, true, [tiny_world.cloud.points], width_px=200, reach_m=50)
-    assert set(drawn) == {f"{kind}_{side}" for kind in ("predicted", "true", "errors") for side in ("top", "street")}
+    drawn = views.draw_views(grid, predicted, true, [tiny_world.cloud], width_px=200, reach_m=50)
+    kinds = ("predicted", "true", "errors", "intensity", "rgb")
+    assert set(drawn) == {f"{kind}_{side}" for kind in kinds for side in ("top", "street")}
     known = true != UNLABELLED
     wrong = 100 * np.mean(predicted[known] != true[known])
     heading = drawn["errors_top"].texts[0].get_text()
@@ -79,9 +81,28 @@ def test_all_views_of_a_map_with_truth(street, tiny_world):
 def test_without_truth_there_is_only_the_prediction(street, tiny_world, unknown):
     grid, true = street
     nothing = None if unknown is None else np.full_like(true, UNLABELLED)
-    drawn = views.draw_views(grid, np.zeros(len(grid), np.uint8), nothing, [tiny_world.cloud.points], width_px=100)
-    assert set(drawn) == {"predicted_top", "predicted_street"}
+    drawn = views.draw_views(grid, np.zeros(len(grid), np.uint8), nothing, [tiny_world.cloud], width_px=100)
+    assert {name for name in drawn if not name.startswith(("intensity", "rgb"))} == {"predicted_top", "predicted_street"}
     assert set(views.draw_statistics(np.zeros(4, np.uint8), np.ones(4), nothing if nothing is None else nothing[:4])) == {"class_shares"}
+
+
+def test_intensity_and_colour_are_those_of_the_points():
+    points = np.array([[x, y, 0.05] for x in np.arange(0.05, 4, 0.1) for y in np.arange(0.05, 2, 0.1)])
+    left = points[:, 0] < 2
+    fields = {"intensity": np.where(left, 100, 900).astype(np.uint16), "rgb": np.where(left[:, None], [255, 0, 0], [0, 0, 255])}
+    grid = voxelize([points], 0.1)
+    labels = np.zeros(len(grid), np.uint8)
+    # In two pieces, so that means are of all pieces.
+    clouds = [PointCloud(points[k::2], {n: v[k::2] for n, v in fields.items()}) for k in range(2)]
+    drawn = views.draw_views(grid, labels, None, clouds, width_px=200)
+    seen = {tuple(c) for c in drawn["rgb_top"].axes[0].images[0].get_array().reshape(-1, 3).tolist()}
+    assert seen == {(255, 0, 0), (0, 0, 255), (255, 255, 255)}
+    greys = {c[0] for c in drawn["intensity_top"].axes[0].images[0].get_array().reshape(-1, 3).tolist()}
+    assert greys == {0, 255}
+    # One that was left empty is not drawn, nor one that only some pieces have.
+    clouds[0].fields["intensity"][:], clouds[1].fields["intensity"][:] = 7, 7
+    del clouds[1].fields["rgb"]
+    assert set(views.draw_views(grid, labels, None, clouds, width_px=100)) == {"predicted_top", "predicted_street"}
 
 
 def test_statistics_count_labelled_voxels_alone():
@@ -94,5 +115,5 @@ def test_statistics_count_labelled_voxels_alone():
 
 def test_a_map_of_one_voxel_is_drawn():
     grid = VoxelGrid(np.zeros(3), 0.1, np.zeros((1, 3), np.int32), np.ones(1, np.uint32), np.zeros(1), np.zeros(1, np.float32))
-    drawn = views.draw_views(grid, np.zeros(1, np.uint8), None, [np.full((1, 3), 0.05)], width_px=50)
+    drawn = views.draw_views(grid, np.zeros(1, np.uint8), None, [PointCloud(np.full((1, 3), 0.05))], width_px=50)
     assert len(drawn) == 2

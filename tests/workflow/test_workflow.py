@@ -44,7 +44,11 @@ def test_the_page_on_own_drives_computes_what_it_says(tmp_path):
     for command in commands:
         words = shlex.split(command.replace("<name>", "hdl32_capture").replace("<folder>", str(tmp_path)))
         rules.append({job.rule for job in dry_run(*words, directory=tmp_path)})
-    assert rules == [{"import_drive", "inspect_drive"}, {"import_drive", "export_drive"}]
+    assert rules == [
+        {"import_drive", "inspect_drive"},
+        {"import_drive", "segment_frames", "register_frames", "merge_frames"},
+        {"import_drive", "export_drive"},
+    ]
 
 
 def test_edit_of_the_deepest_import_runs_a_rule_again(tmp_path, tiny_scan):
