@@ -39,6 +39,6 @@ def main(
 if __name__ == "__main__":
     with logged(snakemake.log[0]):
         inputs = {"map_path": snakemake.input.map, "voxels_path": snakemake.input.voxels}
-        inputs |= {"prediction_paths": snakemake.input.predictions, "truth_path": next(iter(snakemake.input.truth), None)}
+        inputs |= {"prediction_paths": snakemake.input.predictions, "truth_path": snakemake.input.truth or None}
         o = snakemake.output
         main(**inputs, layer_path=o.layer, landmarks_path=o.landmarks, reference_path=o.reference, **snakemake.params)

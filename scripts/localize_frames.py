@@ -45,4 +45,4 @@ if __name__ == "__main__":
         i, o = snakemake.input, snakemake.output
         inputs = {"drive_path": i.drive, "reference_path": i.reference, "landmarks_path": i.landmarks}
         outputs = {"poses_path": o.poses, "tum_path": o.tum, "view_path": o.view, "pictures_folder": o.pictures}
-        main(**inputs, truth_path=next(iter(i.truth), None), **outputs, **snakemake.params)
+        main(**inputs, truth_path=i.truth or None, **outputs, **snakemake.params)

@@ -178,7 +178,8 @@ class PhantomMap:
 def summarize(errors: pd.DataFrame) -> pd.DataFrame:
     """The figures of one drive, map and localizer: `metric, value, unit, n`.
 
-    Rates are over all frames, means and medians over frames called `ok`, and `n` says how many those are.
+    Rates are over all frames, means and medians over frames called `ok`, those of the vote alone over frames called `ok` for what their
+    objects say; `n` says how many those are.
     """
     is_ok = errors["status"] == "ok"
     is_right = (errors["found_m"] < SUCCESS_M) & (errors["found_deg"] < SUCCESS_DEG)
@@ -202,7 +203,8 @@ def summarize(errors: pd.DataFrame) -> pd.DataFrame:
         ("keypoint_distance", "keypoint_m", "m"),
         ("nees", "nees", ""),
     ):
-        values = ok[column].dropna()
+        chosen = ok[ok["source"] == "objects"] if name.startswith("vote") else ok
+        values = chosen[column].dropna()
         rows += [(f"{name}_mean", _of(np.mean, values), unit, len(values)), (f"{name}_median", _of(np.median, values), unit, len(values))]
     good = errors[errors["n_objects"] > 0]
     rows.append(("good_landmarks", _of(np.mean, 100 * good["n_good"] / good["n_objects"]), "%", len(good)))

@@ -140,13 +140,14 @@ def even_starts(poses: np.ndarray, window: Window, seed: int) -> Starts:
 
     Args:
         poses: (F, 4, 4) true T_map_lidar, NaN where unknown.
-        window: dx, dy and turn of the starts lie just within it.
+        window: seen from the starts, in their own axes, the true poses lie all over it.
         seed: of the spread (scrambled Halton).
     """
     units = 2 * qmc.Halton(3, rng=np.random.default_rng(seed)).random(len(poses)) - 1
     # A cell's width inside, for the truth on the very border is in no cell.
-    xy = poses[:, :2, 3] + units[:, :2] * (window.shift_m - 2 * window.step_m)
     turn = np.radians(max(window.turn_deg - 2 * window.turn_step_deg, 0)) * units[:, 2]
     yaw = np.arctan2(poses[:, 1, 0], poses[:, 0, 0]) + turn
+    ahead, left = (units[:, :2] * (window.shift_m - 2 * window.step_m)).T
+    xy = poses[:, :2, 3] - np.c_[np.cos(yaw) * ahead - np.sin(yaw) * left, np.sin(yaw) * ahead + np.cos(yaw) * left]
     # Motion is no part of the error that is spread: it comes from the drive itself.
     return Starts(xy, yaw, np.full(len(poses), np.nan), np.full(len(poses), np.nan))

@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 
 from streetscan.frames import CameraModel
 from streetscan.simulation.daylight import Daylight, Lighting
-from streetscan.simulation.raycasting import SceneCaster, path_pose
+from streetscan.simulation.raycasting import SceneCaster
 from streetscan.simulation.recording import Trajectory
 
 # Poses are laid down this often within one exposure, linear between.
@@ -290,9 +290,7 @@ def _expose(lighting: Lighting, camera: Camera, poses: _Poses, rng: np.random.Ge
         seen.radiance.reshape(*shape, 3),
         lighting.caster.instances,
         lighting.caster.materials,
-        *lighting.caster.paths,
-        poses.start_s,
-        poses.end_s,
+        *(lighting.caster.own_poses(seen.hits, np.full(n, t)).reshape(*shape, 4) for t in (poses.start_s, poses.end_s)),
         poses.origins - lighting.caster.origin,
         poses.rotations,
         camera.focal_px,
@@ -362,10 +360,8 @@ def _count_rays(
     radiance,
     instances,
     materials,
-    path,
-    bounds,
-    start_s,
-    end_s,
+    early,
+    late,
     origins,
     rotations,
     focal_px,
@@ -408,11 +404,9 @@ def _count_rays(
                 first[k] = last[k] = points[i, j, k]
             if face >= 0:
                 if actors[i, j] >= 0:
-                    early = path_pose(path, bounds, actors[i, j], start_s)
-                    late = path_pose(path, bounds, actors[i, j], end_s)
                     for k in range(3):
-                        first[k] -= 0.5 * (late[k] - early[k])
-                        last[k] += 0.5 * (late[k] - early[k])
+                        first[k] -= 0.5 * (late[i, j, k] - early[i, j, k])
+                        last[k] += 0.5 * (late[i, j, k] - early[i, j, k])
                 before = rotations[0].T @ (first - origins[0])
                 after = rotations[-1].T @ (last - origins[-1])
                 dx = before[0] / max(before[2], 0.1) - after[0] / max(after[2], 0.1)

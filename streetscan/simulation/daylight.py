@@ -14,8 +14,8 @@ import numpy as np
 
 from streetscan.classes import FACADE
 from streetscan.simulation.appearance import MATERIALS
-from streetscan.simulation.raycasting import Hits, SceneCaster, path_pose
-from streetscan.simulation.textures import GLOSS, LOOK_TABLE, MIRROR, TRANSLUCENCY, albedo_at, octaves, patterns_of
+from streetscan.simulation.raycasting import Hits, SceneCaster
+from streetscan.simulation.textures import GLOSS, LOOK_TABLE, MIRROR, TRANSLUCENCY, look_at, look_up, patterns_of
 
 _TRANSMISSION = np.array([m.transmission if LOOK_TABLE[i, MIRROR] > 0 else 0.0 for i, m in enumerate(MATERIALS)])
 # Secondary rays start this far from the surface, clear of float32 steps and of paint on the road.
@@ -118,6 +118,7 @@ class Lighting:
     def __init__(self, caster: SceneCaster, daylight: Daylight):
         self.caster, self.daylight = caster, daylight
         self._patterns = patterns_of(caster.materials, caster.labels)
+        self._seeds = caster.own_frames.seeds[caster.own_frames.numbers]
         self._contrasts = np.where(caster.labels == FACADE, daylight.wall_contrast, 1.0).astype(np.float32)
         self._colours = _SRGB_TO_LINEAR[caster.colours]
         self._sky = np.concatenate(
@@ -173,23 +174,20 @@ class Lighting:
 
     def _meet(self, origins, directions, times_s, spread_rad, travelled_m) -> tuple[Seen, np.ndarray]:
         """What rays hit, still dark, and its albedo (n, 3)."""
-        caster, own = self.caster, self.caster.own_frames
+        caster = self.caster
         hits = caster.cast(origins, directions, times_s)
         behind = np.zeros(len(hits), np.float32) if travelled_m is None else travelled_m
-        points, normals, albedo = _surfaces(
+        points, normals, albedo = look_at(
             origins - caster.origin,
             directions,
-            np.asarray(times_s, np.float64),
             hits.distances_m,
             hits.faces,
             hits.actors,
             behind,
             spread_rad,
-            own.normals,
-            own.numbers,
-            own.poses,
-            own.seeds,
-            *caster.paths,
+            caster.own_frames.normals,
+            caster.own_poses(hits, times_s),
+            self._seeds,
             self._patterns,
             caster.materials,
             self._colours,
@@ -204,21 +202,12 @@ class Lighting:
         if openness is None:
             open_sky = np.full(len(hits), 0.5, np.float32)
         else:
-            open_sky = _look_up(seen.points, seen.normals, hits.distances_m, pixels, openness.points, openness.normals, openness.values)
+            open_sky = _gather(seen.points, seen.normals, hits.distances_m, pixels, openness.points, openness.normals, openness.values)
         is_last = travelled_m is not None
-        seen.radiance = _shade(
-            directions,
-            hits.faces,
-            self.caster.materials,
-            seen.normals,
-            albedo,
-            seen.sunlit,
-            open_sky,
-            is_last,
-            self._sky,
-            LOOK_TABLE,
-            spread_rad,
-        )
+        # A pane's mirror image of the sun is spread by the pane's waviness.
+        seen.radiance = look_up(directions, hits.faces, self._sky, spread_rad, 30.0 if is_last else np.inf)
+        surface = hits.faces, self.caster.materials, seen.normals, albedo, seen.sunlit, open_sky
+        _shade(seen.radiance, directions, *surface, self._sky, LOOK_TABLE)
         if not is_last:
             self._follow(seen, directions, times_s, spread_rad)
 
@@ -299,113 +288,12 @@ def _hemisphere(normals: np.ndarray, k: int) -> np.ndarray:
 
 
 @numba.njit(cache=True, parallel=True)
-def _surfaces(
-    origins,
-    directions,
-    times_s,
-    distances_m,
-    faces,
-    actors,
-    behind_m,
-    spread_rad,
-    face_normals,
-    numbers,
-    poses,
-    seeds,
-    path,
-    bounds,
-    patterns,
-    materials,
-    colours,
-    contrasts,
-    looks,
-):
-    """Points, normals towards the viewer and albedos of hits; NaN, 0 and 0 where nothing is hit."""
-    n = len(faces)
-    points, normals, albedo = np.full((n, 3), np.nan), np.zeros((n, 3), np.float32), np.zeros((n, 3), np.float32)
-    for r in numba.prange(n):
-        face = faces[r]
-        if face < 0:
-            continue
-        frame = numbers[face]
-        if actors[r] >= 0:
-            x, y, z, yaw = path_pose(path, bounds, actors[r], times_s[r])
-        else:
-            x, y, z, yaw = poses[frame, 0], poses[frame, 1], poses[frame, 2], poses[frame, 3]
-        cos, sin = np.cos(yaw), np.sin(yaw)
-        px = origins[r, 0] + distances_m[r] * directions[r, 0]
-        py = origins[r, 1] + distances_m[r] * directions[r, 1]
-        pz = origins[r, 2] + distances_m[r] * directions[r, 2]
-        # Normals of moving actors are in the actor's frame, all others in the map's.
-        nx, ny, nz = face_normals[face, 0], face_normals[face, 1], face_normals[face, 2]
-        if actors[r] >= 0:
-            mx, my, ox, oy = cos * nx - sin * ny, sin * nx + cos * ny, nx, ny
-        else:
-            mx, my, ox, oy = nx, ny, cos * nx + sin * ny, -sin * nx + cos * ny
-        towards = mx * directions[r, 0] + my * directions[r, 1] + nz * directions[r, 2]
-        side = -1.0 if towards > 0 else 1.0
-        footprint = (distances_m[r] + behind_m[r]) * spread_rad / max(abs(towards), 0.05) ** 0.7
-        dx, dy = px - x, py - y
-        material = materials[face]
-        base = (np.float64(colours[face, 0]), np.float64(colours[face, 1]), np.float64(colours[face, 2]))
-        c = albedo_at(
-            patterns[face],
-            looks[material],
-            base,
-            cos * dx + sin * dy,
-            -sin * dx + cos * dy,
-            pz - z,
-            np.float64(ox),
-            np.float64(oy),
-            np.float64(nz),
-            max(footprint, 1e-4),
-            seeds[frame],
-        )
-        points[r, 0], points[r, 1], points[r, 2] = px, py, pz
-        normals[r, 0], normals[r, 1], normals[r, 2] = side * mx, side * my, side * nz
-        for k in range(3):
-            albedo[r, k] = base[k] + contrasts[face] * (c[k] - base[k])
-    return points, normals, albedo
-
-
-@numba.njit(cache=True)
-def _sky_radiance(dx, dy, dz, sky, spread_rad):
-    """Linear RGB of the sky: brighter to the horizon and around the sun, with clouds."""
-    towards = dx * sky[0] + dy * sky[1] + dz * sky[2]
-    up = max(dz, 0.0)
-    horizon = np.exp(-5.0 * up)
-    glow = 0.4 * max(towards, 0.0) ** 10 + 5.0 * max(towards, 0.0) ** 200
-    r = sky[6] * (0.75 + 2.6 * horizon) + glow * sky[3]
-    g = sky[7] * (1.10 + 1.8 * horizon) + glow * sky[4]
-    b = sky[8] * (1.50 + 0.7 * horizon) + glow * sky[5]
-    if sky[9] > 0 and up > 0.03:
-        u, v = dx / (up + 0.12), dy / (up + 0.12)
-        field = octaves(0.6 * u, v, 0.0, 1.6, 0.05, spread_rad / (up + 0.12) + 0.02, np.int64(sky[10]) + 900)
-        cover = min(max((field + 3 * (sky[9] - 0.5)) * 0.4, 0.0), 0.9) * min((up - 0.03) / 0.1, 1.0)
-        white = 0.65 + 0.15 * max(min(field, 2.0), -1.0)
-        r += cover * (white * (0.75 * sky[3] + 0.9 * sky[6]) - 0.8 * r)
-        g += cover * (white * (0.75 * sky[4] + 0.9 * sky[7]) - 0.8 * g)
-        b += cover * (white * (0.75 * sky[5] + 0.9 * sky[8]) - 0.8 * b)
-    # The sun's disc, 0.53 degrees wide.
-    if towards > 0.99998:
-        r, g, b = r + 3000 * sky[3], g + 3000 * sky[4], b + 3000 * sky[5]
-    return r, g, b
-
-
-@numba.njit(cache=True, parallel=True)
-def _shade(directions, faces, materials, normals, albedo, sunlit, open_sky, is_secondary, sky, looks, spread_rad):
-    """Radiance of hits from sun and sky, and of the sky where nothing is hit."""
-    n = len(faces)
-    radiance = np.zeros((n, 3), np.float32)
-    for r in numba.prange(n):
-        dx, dy, dz = np.float64(directions[r, 0]), np.float64(directions[r, 1]), np.float64(directions[r, 2])
+def _shade(radiance, directions, faces, materials, normals, albedo, sunlit, open_sky, sky, looks):
+    """Fill in the radiance of hits, from sun and sky."""
+    for r in numba.prange(len(faces)):
         if faces[r] < 0:
-            a, b, c = _sky_radiance(dx, dy, dz, sky, spread_rad)
-            if is_secondary:
-                # A pane's mirror image of the sun is spread by its waviness.
-                a, b, c = min(a, 30.0), min(b, 30.0), min(c, 30.0)
-            radiance[r, 0], radiance[r, 1], radiance[r, 2] = a, b, c
             continue
+        dx, dy, dz = np.float64(directions[r, 0]), np.float64(directions[r, 1]), np.float64(directions[r, 2])
         nx, ny, nz = np.float64(normals[r, 0]), np.float64(normals[r, 1]), np.float64(normals[r, 2])
         look = looks[materials[faces[r]]]
         facing = nx * sky[0] + ny * sky[1] + nz * sky[2]
@@ -431,11 +319,10 @@ def _shade(directions, faces, materials, normals, albedo, sunlit, open_sky, is_s
         for k in range(3):
             light = sky[3 + k] * direct + opened * (above * sky[6 + k] + bounce * sky[3 + k])
             radiance[r, k] = albedo[r, k] * light + highlight * sky[3 + k]
-    return radiance
 
 
 @numba.njit(cache=True, parallel=True)
-def _look_up(points, normals, distances_m, pixels, grid_points, grid_normals, values):
+def _gather(points, normals, distances_m, pixels, grid_points, grid_normals, values):
     """Openness at points: mean over the 4 x 4 grid places around the pixel that lie on the same surface."""
     n = len(points)
     found = np.ones(n, np.float32)

@@ -77,7 +77,6 @@ class SceneCaster:
     Attributes:
         origin: (3,) float64, the local origin, frame `map`.
         moving: the actors that move during the span.
-        paths: of the moving actors, for `path_pose`.
         labels, instances, materials, colours: of all triangles, rows as in `Hits.faces`.
     """
 
@@ -99,7 +98,7 @@ class SceneCaster:
         self._static_mesh = static
         self._static = _embree_scene(static.vertices - self.origin, static.triangles)
         meshes = [a.mesh for a in self.moving]
-        self.paths = np.zeros((0, 5)), np.zeros(1, np.int64)
+        self._paths = np.zeros((0, 5)), np.zeros(1, np.int64)
         if self.moving:
             self._spheres = _bounding_spheres(meshes)
             # A millimetre more on all sides, so that rounding loses no hit on an actor's outermost faces.
@@ -111,7 +110,7 @@ class SceneCaster:
             gallery = join_meshes(hung)
             self._gallery = _embree_scene(gallery.vertices, gallery.triangles)
             self._actor_of_face = np.repeat(np.arange(len(meshes), dtype=np.int16), [len(m.triangles) for m in meshes])
-            self.paths = _pack_paths(self.moving, self.origin)
+            self._paths = _pack_paths(self.moving, self.origin)
             self._top_speeds_mps = np.array([_top_speed_mps(a) for a in self.moving])
         self.labels, self.instances, self.materials, self.colours = (
             np.concatenate([getattr(m, n) for m in (static, *meshes)]) for n in _TABLES
@@ -178,6 +177,11 @@ class SceneCaster:
             np.concatenate([seeds.astype(np.int64), np.array(own_seeds, np.int64)]),
         )
 
+    def own_poses(self, hits: Hits, times_s: np.ndarray) -> np.ndarray:
+        """(n, 4) float64 pose in which each ray's object was at the ray's time: x, y, z from the origin, and yaw; 0 without a hit."""
+        own = self.own_frames
+        return _hit_poses(hits.faces, hits.actors, np.asarray(times_s, np.float64), own.numbers, own.poses, *self._paths)
+
     def speeds_mps(self, hits: Hits, times_s: np.ndarray) -> np.ndarray:
         """(n,) float32 speed of what each ray hit, at the ray's time; 0 for what stands still and where nothing is hit."""
         speeds = np.zeros(len(hits), np.float32)
@@ -207,7 +211,7 @@ class SceneCaster:
 
     def _cast_actors(self, local: np.ndarray, directions: np.ndarray, times_s: np.ndarray, hits: Hits) -> None:
         """Put the hits on moving actors into `hits` where they are nearer."""
-        tables = *self.paths, self._spheres, self._boxes, self._cells, self._top_speeds_mps
+        tables = *self._paths, self._spheres, self._boxes, self._cells, self._top_speeds_mps
         starts = range(0, len(local), _PART_RAYS)
         parts = [tuple(v[i : i + _PART_RAYS] for v in (local, directions, times_s, hits.distances_m)) for i in starts]
         with ThreadPoolExecutor(self._n_threads or os.cpu_count()) as pool:
@@ -226,7 +230,7 @@ class SceneCaster:
 
 
 @numba.njit(cache=True)
-def path_pose(path, bounds, actor, time_s):
+def _pose(path, bounds, actor, time_s):
     """x, y, z, yaw of an actor at a time, linear between samples, standing before and after."""
     low, high = bounds[actor], bounds[actor + 1] - 1
     if time_s <= path[low, 0]:
@@ -242,6 +246,17 @@ def path_pose(path, bounds, actor, time_s):
     f = (time_s - path[low, 0]) / (path[high, 0] - path[low, 0])
     a, b = path[low], path[high]
     return a[1] + f * (b[1] - a[1]), a[2] + f * (b[2] - a[2]), a[3] + f * (b[3] - a[3]), a[4] + f * (b[4] - a[4])
+
+
+@numba.njit(cache=True, parallel=True)
+def _hit_poses(faces, actors, times_s, numbers, poses, path, bounds):
+    found = np.zeros((len(faces), 4))
+    for r in numba.prange(len(faces)):
+        if actors[r] >= 0:
+            found[r, 0], found[r, 1], found[r, 2], found[r, 3] = _pose(path, bounds, actors[r], times_s[r])
+        elif faces[r] >= 0:
+            found[r] = poses[numbers[faces[r]]]
+    return found
 
 
 @numba.njit(cache=True)
@@ -289,7 +304,7 @@ def _enter_gallery(origins, directions, times_s, limits_m, path, bounds, spheres
         if not abs(middle_s - known_s) < _KEPT_POSES_S:
             known_s = middle_s
             for i in range(len(spheres)):
-                x, y, z, yaw = path_pose(path, bounds, i, known_s)
+                x, y, z, yaw = _pose(path, bounds, i, known_s)
                 cos, sin = np.cos(yaw), np.sin(yaw)
                 poses[i, 0], poses[i, 1], poses[i, 2], poses[i, 3], poses[i, 4] = x, y, z, cos, sin
                 middles[i, 0] = x + cos * spheres[i, 0] - sin * spheres[i, 1]
@@ -309,7 +324,7 @@ def _enter_gallery(origins, directions, times_s, limits_m, path, bounds, spheres
             for r in range(first, last):
                 x, y, z, cos, sin = poses[i, 0], poses[i, 1], poses[i, 2], poses[i, 3], poses[i, 4]
                 if times_s[r] != known_s:
-                    x, y, z, yaw = path_pose(path, bounds, i, times_s[r])
+                    x, y, z, yaw = _pose(path, bounds, i, times_s[r])
                     cos, sin = np.cos(yaw), np.sin(yaw)
                 ox, oy, oz = origins[r, 0] - x, origins[r, 1] - y, origins[r, 2] - z
                 ox, oy = cos * ox + sin * oy, -sin * ox + cos * oy

@@ -235,6 +235,27 @@ def _text(u, v, height_m, footprint_m, seed):
 
 
 @numba.njit(cache=True)
+def _specks(u, v, footprint_m, seed):
+    """Logarithm of brightness of round dark and light spots of four sizes: stones in asphalt, chewing gum, knots, chips."""
+    total, cell = 0.0, 0.32
+    for n in range(4):
+        i, j = np.int64(np.floor(u / cell)), np.int64(np.floor(v / cell))
+        if random_of(i, j, n, seed + 80) < 0.45:
+            # A spot keeps within its cell, so one cell is all there is to look at.
+            radius = (0.10 + 0.22 * random_of(i, j, n, seed + 81)) * cell
+            room = cell - 2 * radius
+            du = u - i * cell - radius - room * random_of(i, j, n, seed + 82)
+            dv = v - j * cell - radius - room * random_of(i, j, n, seed + 83)
+            inside = min(max((radius - np.sqrt(du * du + dv * dv)) / max(footprint_m, 0.15 * radius) + 0.5, 0.0), 1.0)
+            tone = 1.1 * random_of(i, j, n, seed + 84) - 0.6
+            total += tone * inside * visible(2 * radius, footprint_m)
+        cell *= 0.4
+        # The cells of the sizes are turned against each other.
+        u, v = 0.8 * u - 0.6 * v, 0.6 * u + 0.8 * v
+    return total
+
+
+@numba.njit(cache=True)
 def _mix(a, b, share):
     return a[0] + share * (b[0] - a[0]), a[1] + share * (b[1] - a[1]), a[2] + share * (b[2] - a[2])
 
@@ -307,6 +328,8 @@ def albedo_at(pattern, look, base, x, y, z, nx, ny, nz, footprint_m, seed):
     contrast = look[CONTRAST]
     grain = octaves(x, y, z, look[COARSEST], look[FINEST], footprint_m, seed)
     colour = base
+    if pattern in (ASPHALT, SLABS, SETTS, PLASTER, ASHLAR, BRICK):
+        colour = _scale(colour, np.exp(_specks(u, v, footprint_m, seed)))
     if pattern == ASPHALT:
         # Patches of other age, cracks along the zero lines of a coarse noise, and spots of oil.
         patch = value_noise(x / 3.1, y / 3.1, z / 3.1, seed + 40)
@@ -387,3 +410,113 @@ def _plaster(colour, x, y, z, u, v, level, footprint_m, seed):
     if level > 0.5 and 4.1 < v < 5.15 and random_of(np.int64(np.floor(u / 0.73)), 0, 68, seed) < 0.22:
         colour = _poster(u, v - 4.1, 0.73, 1.05, footprint_m, seed + 69)
     return colour
+
+
+@numba.njit(cache=True, parallel=True)
+def look_at(
+    origins,
+    directions,
+    distances_m,
+    faces,
+    actors,
+    behind_m,
+    spread_rad,
+    face_normals,
+    poses,
+    seeds,
+    patterns,
+    materials,
+    colours,
+    contrasts,
+    looks,
+):
+    """Points (n, 3) float64, normals towards the viewer and albedos (n, 3) float32 of hits; NaN, 0 and 0 where nothing is hit.
+
+    All that evaluates patterns stands in this module: numba's cache of a kernel does not see an edit of another file.
+
+    Args:
+        origins, directions, distances_m, faces, actors: of rays and their hits; origins as the points from the caster's origin.
+        behind_m: (n,) way of the light behind the ray's origin.
+        spread_rad: angle between neighbouring pixels.
+        face_normals, seeds, patterns, materials, colours (linear), contrasts: of triangles.
+        poses: (n, 4) of the objects hit, as `SceneCaster.own_poses`.
+        looks: LOOK_TABLE.
+    """
+    n = len(faces)
+    points, normals, albedo = np.full((n, 3), np.nan), np.zeros((n, 3), np.float32), np.zeros((n, 3), np.float32)
+    for r in numba.prange(n):
+        face = faces[r]
+        if face < 0:
+            continue
+        x, y, z, yaw = poses[r, 0], poses[r, 1], poses[r, 2], poses[r, 3]
+        cos, sin = np.cos(yaw), np.sin(yaw)
+        px = origins[r, 0] + distances_m[r] * directions[r, 0]
+        py = origins[r, 1] + distances_m[r] * directions[r, 1]
+        pz = origins[r, 2] + distances_m[r] * directions[r, 2]
+        # Normals of moving actors are in the actor's frame, all others in the map's.
+        nx, ny, nz = face_normals[face, 0], face_normals[face, 1], face_normals[face, 2]
+        if actors[r] >= 0:
+            mx, my, ox, oy = cos * nx - sin * ny, sin * nx + cos * ny, nx, ny
+        else:
+            mx, my, ox, oy = nx, ny, cos * nx + sin * ny, -sin * nx + cos * ny
+        towards = mx * directions[r, 0] + my * directions[r, 1] + nz * directions[r, 2]
+        side = -1.0 if towards > 0 else 1.0
+        footprint = (distances_m[r] + behind_m[r]) * spread_rad / max(abs(towards), 0.05) ** 0.7
+        dx, dy = px - x, py - y
+        material = materials[face]
+        base = (np.float64(colours[face, 0]), np.float64(colours[face, 1]), np.float64(colours[face, 2]))
+        c = albedo_at(
+            patterns[face],
+            looks[material],
+            base,
+            cos * dx + sin * dy,
+            -sin * dx + cos * dy,
+            pz - z,
+            np.float64(ox),
+            np.float64(oy),
+            np.float64(nz),
+            max(footprint, 1e-4),
+            seeds[face],
+        )
+        points[r, 0], points[r, 1], points[r, 2] = px, py, pz
+        normals[r, 0], normals[r, 1], normals[r, 2] = side * mx, side * my, side * nz
+        for k in range(3):
+            albedo[r, k] = base[k] + contrasts[face] * (c[k] - base[k])
+    return points, normals, albedo
+
+
+@numba.njit(cache=True)
+def _sky_radiance(dx, dy, dz, sky, spread_rad):
+    """Linear RGB of the sky: brighter to the horizon and around the sun, with clouds."""
+    towards = dx * sky[0] + dy * sky[1] + dz * sky[2]
+    up = max(dz, 0.0)
+    horizon = np.exp(-5.0 * up)
+    glow = 0.4 * max(towards, 0.0) ** 10 + 5.0 * max(towards, 0.0) ** 200
+    r = sky[6] * (0.75 + 2.6 * horizon) + glow * sky[3]
+    g = sky[7] * (1.10 + 1.8 * horizon) + glow * sky[4]
+    b = sky[8] * (1.50 + 0.7 * horizon) + glow * sky[5]
+    if sky[9] > 0 and up > 0.03:
+        u, v = dx / (up + 0.12), dy / (up + 0.12)
+        field = octaves(0.6 * u, v, 0.0, 1.6, 0.05, spread_rad / (up + 0.12) + 0.02, np.int64(sky[10]) + 900)
+        cover = min(max((field + 3 * (sky[9] - 0.5)) * 0.4, 0.0), 0.9) * min((up - 0.03) / 0.1, 1.0)
+        white = 0.65 + 0.15 * max(min(field, 2.0), -1.0)
+        r += cover * (white * (0.75 * sky[3] + 0.9 * sky[6]) - 0.8 * r)
+        g += cover * (white * (0.75 * sky[4] + 0.9 * sky[7]) - 0.8 * g)
+        b += cover * (white * (0.75 * sky[5] + 0.9 * sky[8]) - 0.8 * b)
+    # The sun's disc, 0.53 degrees wide.
+    if towards > 0.99998:
+        r, g, b = r + 3000 * sky[3], g + 3000 * sky[4], b + 3000 * sky[5]
+    return r, g, b
+
+
+@numba.njit(cache=True, parallel=True)
+def look_up(directions, faces, sky, spread_rad, largest):
+    """(n, 3) float32 radiance of the sky along rays that hit nothing, cut at `largest`; 0 along the others."""
+    radiance = np.zeros((len(faces), 3), np.float32)
+    for r in numba.prange(len(faces)):
+        if faces[r] < 0:
+            a, b, c = _sky_radiance(
+                np.float64(directions[r, 0]), np.float64(directions[r, 1]), np.float64(directions[r, 2]), sky, spread_rad
+            )
+            radiance[r, 0], radiance[r, 1], radiance[r, 2] = min(a, largest), min(b, largest), min(c, largest)
+    return radiance

@@ -69,7 +69,9 @@ def test_no_fix_and_no_reference_system():
 def test_even_starts_fill_the_window_and_stay_inside():
     poses = np.tile(transform([EAST, NORTH, 115], [0, 0, 2.0]), (200, 1, 1))
     starts = even_starts(poses, Window(), 1)
-    offsets, turns = starts.xy_m - [EAST, NORTH], np.degrees(starts.yaw_rad - 2.0)
+    turns, (c, s) = np.degrees(starts.yaw_rad - 2.0), (np.cos(starts.yaw_rad), np.sin(starts.yaw_rad))
+    east, north = (np.array([EAST, NORTH]) - starts.xy_m).T
+    offsets = np.c_[c * east + s * north, c * north - s * east]
     assert 11 < np.abs(offsets).max() < 12
     assert 40 < np.abs(turns).max() < 45
     # As many starts in each quarter of the window.
