@@ -24,9 +24,12 @@ from streetscan.benchmarks.tables import DASH, Table, format_number, own_heading
 from streetscan.classes import CLASSES
 from streetscan.errors import BadInput
 from streetscan.io.atomic import atomic_path
+from streetscan.io.images import png_to_webp
 from streetscan.simulation.layout import GENERATOR_VERSION
 from streetscan.simulation.realism_figures import draw_density_curves, draw_realism_sheet
 
+# A larger PNG is a view of a cloud or a photograph, not a drawing of lines.
+_LARGE_BYTES = 100_000
 # What evaluate_views writes into its folder, and how the report shows it.
 VIEW_KINDS = {"predicted": "Predicted", "true": "True", "errors": "Errors"}
 MEASURED_KINDS = {"intensity": "Intensity", "rgb": "Colour"}
@@ -79,12 +82,14 @@ class Section:
 
 
 def embed(path: str | Path, caption: str, is_narrow: bool = False) -> Picture:
-    """A picture file as a picture of the report. BadInput when there is no such file."""
+    """A picture file as a picture of the report; large PNGs as WebP, a fifth of the size. BadInput when there is no such file."""
     path = Path(path)
     if not path.is_file():
         raise BadInput(path, "no such picture", "run the step that draws it again")
-    kind = mimetypes.guess_type(path.name)[0]
-    return Picture(f"data:{kind};base64,{base64.b64encode(path.read_bytes()).decode()}", caption, is_narrow)
+    kind, content = mimetypes.guess_type(path.name)[0], path.read_bytes()
+    if kind == "image/png" and len(content) > _LARGE_BYTES:
+        kind, content = "image/webp", png_to_webp(content, path)
+    return Picture(f"data:{kind};base64,{base64.b64encode(content).decode()}", caption, is_narrow)
 
 
 def describe_machine() -> str:
