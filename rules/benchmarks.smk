@@ -180,6 +180,33 @@ rule evaluate_registration:
         "../scripts/evaluate_registration.py"
 
 
+rule evaluate_localization:
+    """Errors, verdicts, the thesis' keypoint distance and the floor of a drive's poses on a map."""
+    input:
+        code=library("evaluate_localization"),
+        drive=drive_file("drive.mcap"),
+        truth=drive_file("truth"),
+        poses="results/localize_frames/{dataset}/{drive}/{labels}/{localizer}/poses.csv",
+        landmarks=reference_file("landmarks.npz"),
+        reference=reference_file("reference.npz"),
+        voxels=mapped_truth("voxelize_map/{dataset}/{split}/voxels.npz"),
+        labels=mapped_truth("label_voxels/{dataset}/{split}/labels.npy"),
+    output:
+        errors="results/evaluate_localization/{dataset}/{drive}/{labels}/{localizer}/errors.csv",
+        scores="results/evaluate_localization/{dataset}/{drive}/{labels}/{localizer}/scores.csv",
+    log:
+        "results/evaluate_localization/{dataset}/{drive}/{labels}/{localizer}/scores.log",
+    conda:
+        "../envs/streetscan.yaml"
+    resources:
+        mem_mb=3000,
+    params:
+        **config["evaluate_localization"],
+        settings=localizer_settings,
+    script:
+        "../scripts/evaluate_localization.py"
+
+
 rule tabulate_benchmarks:
     """The papers' tables with ours beside theirs, as CSV, Markdown and LaTeX, and one report of the run."""
     input:
@@ -195,6 +222,12 @@ rule tabulate_benchmarks:
         grids=for_drives("results/evaluate_frames/{drive}/scores.csv", LABELLED_DRIVES),
         streets=for_drives("results/merge_frames/{drive}/{registrar}/street.png", MERGED),
         frames=for_drives("results/show_frames/{drive}/pictures", REGISTERED + MERGED),
+        localizations=for_localizations(
+            "results/evaluate_localization/{dataset}/{drive}/{labels}/{localizer}/errors.csv", SCORED_LOCALIZATIONS
+        ),
+        localization_pictures=for_localizations(
+            "results/localize_frames/{dataset}/{drive}/{labels}/{localizer}/pictures", SCORED_LOCALIZATIONS
+        ),
     output:
         scores="results/tabulate_benchmarks/{run}/scores.csv",
         report="results/tabulate_benchmarks/{run}/report.html",
@@ -212,6 +245,7 @@ rule tabulate_benchmarks:
         viewed=LABELLED,
         registered=REGISTERED,
         merged=MERGED,
+        localized=SCORED_LOCALIZATIONS,
         facts={dataset: facts(dataset)["published"] for dataset, _ in LABELLED if "published" in facts(dataset)},
         realism={
             "simulated": [d for d, _ in SIMULATED],

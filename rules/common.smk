@@ -22,6 +22,8 @@ wildcard_constraints:
     model=r"[a-z0-9_]+",
     drive=r"[a-z0-9_]+",
     registrar=r"[a-z0-9_]+",
+    labels=r"[a-z0-9_]+",
+    localizer=r"[a-z0-9_]+",
     run=r"[a-z0-9_]+",
 
 
@@ -71,6 +73,10 @@ def check_config():
 
 
 check_config()
+
+SELECTIONS = ("labelled_maps", "drives", "registered_drives", "merged_drives", "localized_drives")
+if not any(config[key] for key in SELECTIONS):
+    config.update(config["first_run"])
 
 DATASETS = Path(config["datasets_folder"] or HOME / "config" / "datasets")
 DRIVES = Path(config["drives_folder"] or HOME / "config" / "drives")
@@ -235,7 +241,7 @@ def classes_of(dataset):
 
 
 def pairs(names):
-    """The pairs of names such as `dataset/model`."""
+    """The names' parts, such as data set and model of `dataset/model`."""
     return [tuple(name.split("/")) for name in names]
 
 
@@ -356,3 +362,86 @@ LABELLED_DRIVES = [(d, r) for d, r in REGISTERED if has_labels(d)]
 def for_drives(path, selected):
     """A path's instances for (drive, registrar) pairs."""
     return list(dict.fromkeys(path.format(drive=d, registrar=r) for d, r in selected))
+
+
+def localizations():
+    """The (data set, drive, labels, localizer) tuples of `localized_drives`, each checked."""
+    found = pairs(config["localized_drives"])
+    for dataset_, drive, labels, localizer in found:
+        where = f"localized_drives: {dataset_}/{drive}/{labels}/{localizer}"
+        if localizer not in config["localizers"]:
+            raise WorkflowError(f"{where}: localizer '{localizer}' is not in the config; use one of {', '.join(config['localizers'])}.")
+        if (config["localizers"][localizer]["start"] == "even") != localizer.startswith("oracle_"):
+            raise WorkflowError(
+                f"{where}: a localizer whose starts are made from true poses, and no other, has a name that begins with oracle_."
+            )
+        mapped_split(dataset_, drive)
+        if labels == "oracle_truth" and facts(dataset_)["truth"] != "labels":
+            raise WorkflowError(f"{where}: the data set has no true labels; use raw or a model.")
+        if labels not in ("raw", "oracle_truth"):
+            check_pair(dataset_, labels)
+    return found
+
+
+def mapped_split(dataset, drive):
+    """The part of a data set a drive goes through: a simulated drive says it, a real one has the part that is labelled."""
+    simulation = drive_facts(drive).get("simulation")
+    if simulation is None:
+        return labelled_part(dataset)
+    if simulation["dataset"] != dataset:
+        raise WorkflowError(f"drive '{drive}' goes through data set '{simulation['dataset']}', not '{dataset}'.")
+    return simulation["split"]
+
+
+def predictions_of(wildcards):
+    """The label map whose classes make landmarks; none for a raw map and for the true classes."""
+    if wildcards.labels in ("raw", "oracle_truth"):
+        return []
+    folder = f"results/label_map/{wildcards.dataset}/{wildcards.split}/{wildcards.labels}"
+    return [f"{folder}/voxels_{tiles}.npz" for tiles in tiles_of(wildcards.dataset, wildcards.split)]
+
+
+def reference_file(name):
+    """An input function: a file of cluster_landmarks for the part of the map a drive goes through."""
+
+    def path(wildcards):
+        split = mapped_split(wildcards.dataset, wildcards.drive)
+        return f"results/cluster_landmarks/{wildcards.dataset}/{split}/{wildcards.labels}/{name}"
+
+    return path
+
+
+def localizer_settings(wildcards):
+    """`localize_frames.settings` with what the localizer changes, section by section."""
+    settings, changed = config["localize_frames"]["settings"], config["localizers"][wildcards.localizer]["settings"]
+    return {k: (v | changed[k] if isinstance(v, dict) else changed[k]) if k in changed else v for k, v in settings.items()}
+
+
+def mapped_truth(name):
+    """An input function: a file of the true classes of the map's voxels, where they are known; for scoring."""
+
+    def path(wildcards):
+        split = mapped_split(wildcards.dataset, wildcards.drive)
+        known = facts(wildcards.dataset)["truth"] == "labels"
+        return f"results/{name.format(dataset=wildcards.dataset, split=split)}" if known else []
+
+    return path
+
+
+def place_of(drive):
+    """What a simulated drive goes along (main_road, narrow_road, crossroads, ...), or nothing."""
+    return drive_facts(drive).get("simulation", {}).get("place", "")
+
+
+def has_poses(drive):
+    """Whether the true poses of a drive are known."""
+    return drive_facts(drive)["reader"] == "simulate" or "poses" in drive_facts(drive).get("truth", {})
+
+
+LOCALIZED = localizations()
+SCORED_LOCALIZATIONS = [(*names, place_of(names[1])) for names in LOCALIZED if has_poses(names[1])]
+
+
+def for_localizations(path, selected):
+    """A path's instances for (data set, drive, labels, localizer) tuples."""
+    return [path.format(dataset=d, drive=r, labels=m, localizer=n) for d, r, m, n, *_ in selected]

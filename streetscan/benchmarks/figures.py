@@ -491,3 +491,27 @@ def paths(tracks: dict[str, np.ndarray], true: dict[str, np.ndarray], failed: di
     off.set_ylim(bottom=0)
     figure.legend(loc="outside upper left", ncols=3)
     return figure
+
+
+@_styled
+def frame_errors(frames: Sequence[int], series: dict[str, np.ndarray], heading: str) -> Figure:
+    """Errors frame by frame on a logarithmic axis, a marker of its own for each method.
+
+    Args:
+        frames: numbers of the F frames.
+        series: title to (F,) errors, NaN where there is none.
+        heading: of the axis, with the unit.
+    """
+    figure = _figure(3.0)
+    axes = figure.subplots()
+    colours = [OURS, PAPER, THIRD, FOURTH, ALARM, QUIET]
+    for (name, values), colour, marker in zip(series.items(), itertools.cycle(colours), itertools.cycle("os^Dvx"), strict=False):
+        axes.plot(np.arange(len(frames)), values, color=colour, marker=marker, linewidth=1.0, label=name)
+    axes.set_yscale("log")
+    n_shown = min(len(frames), 13)
+    at = np.unique(np.linspace(0, max(len(frames) - 1, 0), n_shown).astype(int)) if frames else np.empty(0, int)
+    axes.set_xticks(at, [str(frames[i]) for i in at])
+    axes.set_xlabel("frame")
+    axes.set_ylabel(heading)
+    figure.legend(loc="outside upper left", ncols=3)
+    return figure

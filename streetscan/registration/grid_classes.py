@@ -123,7 +123,7 @@ def classify_points(points: np.ndarray, sensor_height_m: float, settings: GridSe
     floor_z = -sensor_height_m - settings.max_depth_m
     cell_of_point, counts, z_min, z_max, z_sum = _collect(points, half_m, settings.cell_m, n_side, floor_z)
     n_patch = max(round(_PATCH_M / settings.cell_m), 1)
-    rise = _follow_ground(counts, z_min, n_side, n_patch, settings.min_points, settings.max_slope, settings.cell_m, -sensor_height_m)
+    rise = follow_ground(counts, z_min, n_side, n_patch, settings.min_points, settings.max_slope, settings.cell_m, -sensor_height_m)
     cell_labels = _classify(
         counts,
         z_min,
@@ -177,7 +177,7 @@ def _collect(points, half_m, cell_m, n_side, floor_z):
 
 
 @njit(cache=True, nogil=True)
-def _follow_ground(counts, z_min, n_side, n_patch, min_points, max_slope, cell_m, road_z):
+def follow_ground(counts, z_min, n_side, n_patch, min_points, max_slope, cell_m, road_z):
     """Height of the ground over the road plane per patch, walked outwards from the vehicle ring by ring."""
     n = (n_side + n_patch - 1) // n_patch
     rise = np.zeros((n, n))

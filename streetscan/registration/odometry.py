@@ -50,7 +50,7 @@ class OdometrySettings:
     """How frames are chained.
 
     Attributes:
-        method: `ndt`, `gicp`, `vgicp`, or `kiss_icp`, which has its own ways of predicting, judging and keeping the street.
+        method: `ndt`, `objects`, `gicp`, `vgicp`, or `kiss_icp`, which has its own ways of predicting, judging and keeping the street.
         target: `previous` (the report) or `street` (all frames within `max_range_m`).
         classes: grid classes that are matched; empty matches the raw frame.
         ndt: settings of the NDT.

@@ -11,8 +11,9 @@ import small_gicp
 from streetscan.errors import BadInput
 from streetscan.geometry import apply
 from streetscan.registration.ndt import Fit, NdtSettings, build_fields, fit
+from streetscan.registration.object_target import ObjectTarget
 
-METHODS = ("ndt", "gicp", "vgicp")
+METHODS = ("ndt", "objects", "gicp", "vgicp")
 _GICP_ITERATIONS = 50
 
 
@@ -146,7 +147,7 @@ def make_target(
     """A target of one of METHODS.
 
     Args:
-        method: `ndt`, `gicp` or `vgicp`.
+        method: `ndt`, `objects` (then NDT), `gicp` or `vgicp`.
         ndt: settings of the NDT.
         thin_m: source points (GICP: target points too) are averaged in cubes of this edge; see `streetscan.registration.ndt.fit`.
         voxel_m: voxel of VGICP.
@@ -157,6 +158,8 @@ def make_target(
     """
     if method == "ndt":
         return NdtTarget(ndt, thin_m)
+    if method == "objects":
+        return ObjectTarget(ndt, thin_m)
     if method in METHODS:
         return GicpTarget(method, thin_m, voxel_m, max_distance_m, n_threads)
     raise BadInput("register_frames.method", f"'{method}'", f"choose one of {', '.join(METHODS)}")

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from street_frames import drive
 from toy_drives import RegisteredDrive, write_drive
+from toy_localization import write_files
 
 from scripts import merge_frames, segment_frames
 from streetscan.io.trajectories import write_poses_csv
@@ -29,3 +30,9 @@ def registered_drive(tmp_path_factory) -> RegisteredDrive:
         picture_path=folder / "street.png", classes=["ground", "tall_structure"], group_frames=3,
     )  # fmt: skip
     return made
+
+
+@pytest.fixture(scope="session")
+def localization_files(tmp_path_factory):
+    """The street of boxes as files, made once; treat them as read-only."""
+    return write_files(tmp_path_factory.mktemp("street"))

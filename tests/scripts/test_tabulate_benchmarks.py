@@ -8,6 +8,7 @@ from scripts import tabulate_benchmarks
 from streetscan.benchmarks.scores import read_scores
 from streetscan.errors import BadInput
 from streetscan.geometry import transform
+from streetscan.localization.evaluation import COLUMNS as LOCALIZATION_COLUMNS
 from streetscan.registration.evaluation import align_trajectory, evaluate_chain, find_failed_pairs
 from streetscan.registration.grid_evaluation import score_grid
 from streetscan.registration.odometry import FramePose
@@ -15,7 +16,9 @@ from streetscan.segmentation.metrics import evaluate_labels
 
 CONFIG = {"run": "try", "seed": 1, "labelled_maps": ["city/c2cnn"]}
 TABLES = {"nagy_1_2", "nagy_2_3", "nagy_2_4", "nagy_2_3_natural", "map_cleaning", "jozsa_1", "jozsa_2", "registration", "grid_classes"}
+TABLES |= {"nagy_3_1", "localization"}
 REGISTERED = [("my_drive", "ndt_tall"), ("my_drive", "ndt_raw"), ("my_drive", "kiss_icp")]
+LOCALIZED = [("city", "my_drive", m, n, "main_road") for m, n in (("raw", "voting_8"), ("c2cnn", "voting_8"), ("c2cnn", "crossmodal"))]
 EVALUATED = [("city", "c2cnn"), ("oakland", "c2cnn_from_city")]
 REALISM = {"simulated": ["city"], "compared": ["city", "oakland"], "not_compared": ["amsterdam"], "static_scans": {"city_tls": "city"}}
 FACTS = {"city": {"year": 2026, "n_classes": 9}, "oakland": {"sensor": "SICK LMS (MLS)", "n_points": None}}
@@ -33,6 +36,8 @@ def inputs(tmp_path):
         "trajectories": [],
         "streets": [],
         "frames": [],
+        "localizations": [],
+        "localization_pictures": [],
     }
     for dataset, _ in EVALUATED:
         true = rng.integers(0, 9, 3000).astype(np.uint8)
@@ -53,6 +58,13 @@ def inputs(tmp_path):
             path = tmp_path / f"{registrar}_{kind}.csv"
             table.to_csv(path, index=False)
             paths[kind].append(str(path))
+    for _, drive, labels, localizer, _ in LOCALIZED:
+        path = tmp_path / f"{drive}_{labels}_{localizer}.csv"
+        localized(0.8 if labels == "raw" else 0.2).to_csv(path, index=False)
+        paths["localizations"].append(str(path))
+        (tmp_path / localizer).mkdir(exist_ok=True)
+        (tmp_path / localizer / "before.png").write_bytes(b"\x89PNG")
+        paths["localization_pictures"].append(str(tmp_path / localizer))
     frames = tmp_path / "my_drive" / "pictures"
     frames.mkdir(parents=True)
     for name in ("classes_000000.png", "density_000000.png"):
@@ -77,6 +89,18 @@ def chain(step_error_m):
     return evaluate_chain(poses, truth, np.full(20, step_error_m)), align_trajectory(poses, truth, failed)
 
 
+def localized(error_m):
+    """What evaluate_localization writes of ten frames: one wrong and believed, one not believed."""
+    n = 10
+    table = pd.DataFrame({name: np.full(n, 0.1) for name in LOCALIZATION_COLUMNS})
+    table["frame"], table["source"], table["n_objects"], table["n_good"] = range(n), "objects", 20, 5
+    table["status"] = ["ok"] * 9 + ["ambiguous"]
+    table["vote_m"] = [error_m] * 9 + [50.0]
+    table["found_m"] = [3.0] + [0.05] * 9
+    table["phantom_share"] = [0.01] * 5 + [0.1] * 5
+    return table
+
+
 def run(inputs, folder):
     outputs = {name: str(folder / name) for name in ("tables", "figures")} | {
         "scores": str(folder / "scores.csv"),
@@ -90,6 +114,7 @@ def run(inputs, folder):
         viewed=[["my_street", "c2cnn_shipped"]],
         registered=REGISTERED,
         merged=REGISTERED[:1],
+        localized=LOCALIZED,
         facts=FACTS,
         realism=REALISM,
         config=CONFIG,
@@ -134,6 +159,23 @@ def test_registered_drives(inputs, tmp_path):
     for name in ("jozsa_1", "jozsa_2", "registration"):
         assert "My drive" in (tmp_path / "out" / "tables" / f"{name}.md").read_text()
     assert (tmp_path / "out" / "figures" / "paths_my_drive.svg").is_file()
+
+
+def test_localized_drives(inputs, tmp_path):
+    run(inputs, tmp_path / "out")
+    scores = read_scores(tmp_path / "out" / "scores.csv")
+    table = scores[(scores["table"] == "nagy_3_1") & (scores["dataset"] == "city")].set_index(["row", "column"])
+    # One of ten frames is not believed and does not enter the mean.
+    assert table.loc[("main_roads", "raw translation_error"), "ours"] == pytest.approx(0.8)
+    assert table.loc[("main_roads", "c2cnn translation_error"), ["ours", "n", "paper"]].tolist() == [pytest.approx(0.2), 9, "0.37"]
+    assert table.loc[("many_phantoms", "c2cnn rotation_error"), "n"] == 4
+    assert table.loc[("narrow_roads", "c2cnn translation_error"), "method"] == ""
+    rates = scores[scores["table"] == "localization"].set_index(["row", "column"])["ours"]
+    assert rates[("my_drive/c2cnn/voting_8", "success")] == 90
+    assert rates[("my_drive/c2cnn/voting_8", "ok")] == 90
+    assert rates[("my_drive/c2cnn/voting_8", "n_wrong_but_ok")] == 1
+    for name in ("nagy_fig_3_8_my_drive.svg", "localized_my_drive.svg"):
+        assert (tmp_path / "out" / "figures" / name).is_file()
 
 
 def test_the_same_inputs_give_the_same_files(inputs, tmp_path):
