@@ -20,6 +20,8 @@ from streetscan.errors import BadInput
 # The registrars that are the paper's two columns.
 PAPER_COLUMNS = {"ndt_tall": "presegmented", "ndt_raw": "raw"}
 _PEER_METRICS = ("n_frames", "failed_pairs", "frame_rate", "ape_rmse", "rpe_rmse", "rpe_max", "rpe_rotation_rmse", "drift")
+# Errors of centimetres and drifts of less than a per cent need finer units in print.
+_FINER = {"m": (100, "cm"), "%": (10, "mm/m")}
 _MODES = {
     "stream": "Stream", "classes": "Classes", "mean_height": "Mean height", "density": "Density", "height_range": "Height range",
 }  # fmt: skip
@@ -88,7 +90,8 @@ def registration_scores(registrations: Sequence[Registration], grids: Sequence[s
     for r in registrations:
         for metric in _PEER_METRICS:
             value, unit, n = r.value(metric)
-            row = make_score("registration", f"{r.drive}/{r.registrar}", "", metric, value, _unit(unit), n, r.drive, r.registrar)
+            value, unit = (value * _FINER[unit][0], _FINER[unit][1]) if unit in _FINER else (value, _unit(unit))
+            row = make_score("registration", f"{r.drive}/{r.registrar}", "", metric, value, unit, n, r.drive, r.registrar)
             rows.append(row | {"n": math.nan})
     return rows + [row for path in grids for row in _grid_scores(path)]
 

@@ -182,7 +182,7 @@ def shortfalls(scores: pd.DataFrame, unscored: Sequence[tuple[str, str]] = ()) -
         scores: the tidy scores.
         unscored: (data set, model) pairs that were labelled and have no truth.
     Returns:
-        F-rates below the paper's, classes without a voxel to score, maps without truth.
+        F-rates below the paper's, classes without a voxel to score, pairs of frames that failed, maps without truth.
     """
     lines = []
     ours = scores[(scores["method"] != "") & scores["table"].isin(list(_COMPARED)) & scores["column"].str.endswith(" f")]
@@ -201,6 +201,8 @@ def shortfalls(scores: pd.DataFrame, unscored: Sequence[tuple[str, str]] = ()) -
         missing = [title(r) for r, v in zip(part["row"], values, strict=True) if math.isnan(v)]
         if missing:
             lines.append(f"{who}: nothing to score for {', '.join(missing)}, since no voxel of the test part truly is one.")
+    pairs = scores[(scores["table"] == "registration") & (scores["column"] == "failed_pairs")]
+    lines += [f"{title(r['row'])}: {r['ours']:.0f} pairs of frames failed." for r in pairs.to_dict("records") if r["ours"] > 0]
     return lines + [f"{title(method)} on {dataset}: labelled, but without truth nothing can be scored." for dataset, method in unscored]
 
 
