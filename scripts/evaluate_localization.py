@@ -47,5 +47,5 @@ if __name__ == "__main__":
     with logged(snakemake.log[0]):
         i, o = snakemake.input, snakemake.output
         inputs = {"drive_path": i.drive, "truth_path": i.truth, "poses_path": i.poses, "reference_path": i.reference}
-        inputs |= {"landmarks_path": i.landmarks, "voxels_path": next(iter(i.voxels), None), "labels_path": next(iter(i.labels), None)}
+        inputs |= {"landmarks_path": i.landmarks, "voxels_path": i.voxels or None, "labels_path": i.labels or None}
         main(**inputs, errors_path=o.errors, scores_path=o.scores, **snakemake.params)
