@@ -75,7 +75,7 @@ def check_config():
 check_config()
 
 SELECTIONS = ("labelled_maps", "drives", "registered_drives", "merged_drives", "localized_drives")
-if not any(config[key] for key in SELECTIONS):
+if not any(config[key] for key in (*SELECTIONS, "datasets_folder", "drives_folder")):
     config.update(config["first_run"])
 
 DATASETS = Path(config["datasets_folder"] or HOME / "config" / "datasets")

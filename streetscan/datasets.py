@@ -1,6 +1,7 @@
 """The facts of a data set: which files, how they are stored, what its classes are in ours, and what was published of it."""
 
 import difflib
+import math
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -167,7 +168,9 @@ def parse_facts(facts: dict, where: object = "data set") -> Dataset:
 
 
 def check_facts(facts: dict, schema: dict, where: object) -> None:
-    """BadInput in one sentence for the first way in which facts do not match their schema."""
+    """BadInput in one sentence for the first way in which facts do not match their schema, or for a number that is none."""
+    if place := _find_non_number(facts):
+        raise BadInput(where, f"key '{place}' is infinite or not a number", "give a number")
     error = jsonschema.exceptions.best_match(jsonschema.Draft202012Validator(schema).iter_errors(facts))
     if error is None:
         return
@@ -186,6 +189,15 @@ def check_facts(facts: dict, schema: dict, where: object) -> None:
     message = error.message if len(error.message) < 200 else f"{error.message[:200]}..."
     description = error.schema.get("description")
     raise BadInput(where, f"key '{place}': {message}", f"mend the value ({description})" if description else "mend the value")
+
+
+def _find_non_number(value: object) -> str:
+    """Where in nested facts the first NaN or infinity stands, its keys joined by dots; empty when there is none."""
+    if isinstance(value, float) and not math.isfinite(value):
+        return "value"
+    items = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
+    found = ((key, _find_non_number(item)) for key, item in items)
+    return next((f"{key}.{place}".removesuffix(".value") for key, place in found if place), "")
 
 
 class _UniqueKeyLoader(yaml.SafeLoader):

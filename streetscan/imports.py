@@ -18,6 +18,8 @@ from streetscan.io.las import open_las_writer
 from streetscan.io.npy import open_npy_writer
 
 logger = logging.getLogger(__name__)
+# What voxel keys of 0.1 m reach; a street is never as long, a point at (0, 0, 0) of a national grid is farther.
+_MAX_EXTENT_M = 100_000.0
 
 
 def import_map(dataset: Dataset, files: Sequence[str | Path], map_path: str | Path, labels_path: str | Path) -> np.ndarray:
@@ -57,7 +59,7 @@ def import_map(dataset: Dataset, files: Sequence[str | Path], map_path: str | Pa
 
 def _iterate_files(dataset: Dataset, files: Sequence[str | Path]) -> Iterator[tuple[PointCloud, np.ndarray]]:
     """(cloud, labels) chunk by chunk; every cloud carries the reference system of the map."""
-    map_crs, first_path = None, None
+    map_crs, first_path, first_point = None, None, None
     for i, path in enumerate(files):
         n_points, is_new_file = 0, True
         for cloud, class_ids in iterate_clouds(path, dataset.reader):
@@ -73,6 +75,13 @@ def _iterate_files(dataset: Dataset, files: Sequence[str | Path]) -> Iterator[tu
                     )
                 is_new_file = False
             cloud.crs = map_crs
+            first_point = cloud.points[0] if first_point is None and len(cloud) else first_point
+            far = np.flatnonzero((np.abs(cloud.points - first_point) > _MAX_EXTENT_M).any(axis=1)) if len(cloud) else ()
+            if len(far):
+                found = (
+                    f"the point {cloud.points[far[0]].round(3).tolist()} lies more than {_MAX_EXTENT_M / 1000:.0f} km from the first one"
+                )
+                raise BadInput(path, found, "take stray points out, or split the map")
             cloud.points[:, 0] += i * dataset.reader.spacing_m
             labels = np.full(len(cloud), UNLABELLED, np.uint8) if class_ids is None else map_labels(class_ids, dataset.class_map, path)
             n_points += len(cloud)

@@ -1,5 +1,6 @@
 """Clouds of foreign data sets: one reader for every format, fields under our own names, class ids beside them."""
 
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -14,8 +15,12 @@ FORMATS = ("las", "ply", "pcd", "text")
 _TYPES = {"time_s": np.float64, "return_number": np.uint8, "n_returns": np.uint8}
 _MAX_RETURNS = 15  # four bits in LAS
 _MAX_INTENSITY = 65535
-# They would put truth, or what only our own steps write, into the map.
-_RESERVED = ("x", "y", "z", "label", "confidence", "classification")
+# They would put truth, or what only our own steps write, into the map, or stand in LAZ under a meaning of their own.
+_RESERVED = {
+    *("x", "y", "z", "red", "green", "blue", "label", "confidence", "classification", "classification_flags", "synthetic", "key_point"),
+    *("withheld", "overlap", "scanner_channel", "scan_direction_flag", "edge_of_flight_line", "number_of_returns", "user_data"),
+    *("scan_angle", "point_source_id", "gps_time"),
+}
 
 
 @dataclass(frozen=True)
@@ -56,8 +61,17 @@ class Reader:
         for name, source in self.fields.items():
             if name in _RESERVED:
                 raise BadInput(f"reader.fields.{name}", "is a name the map keeps for itself", "give the field another name")
+            if not re.fullmatch(r"[a-z][a-z0-9_]{0,31}", name):
+                remedy = "use at most 32 small letters, digits and underscores"
+                raise BadInput(f"reader.fields.{name}", "is a name LAZ cannot hold", remedy)
             if self.label is not None and self.label in ([source] if isinstance(source, str) else source):
                 raise BadInput(f"reader.fields.{name}", "would put the true labels into the map", "remove it; labels go to truth/")
+
+        if self.intensity_range is not None and not self.intensity_range[0] < self.intensity_range[1]:
+            found = f"is {list(self.intensity_range)}"
+            raise BadInput("reader.intensity_range", found, "give the lowest and the highest intensity, such as [0, 1]")
+        if self.delimiter == "":
+            raise BadInput("reader.delimiter", "is empty", 'give a character such as ",", or null for white space')
 
     @property
     def has_labels(self) -> bool:

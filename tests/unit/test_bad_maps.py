@@ -174,9 +174,12 @@ def test_reference_systems_not_in_metres(crs, message):
         common_crs(crs, None, "a.laz")
 
 
-def test_points_too_far_apart_for_laz(tmp_path):
-    path = write_text(tmp_path, GOOD_ROW + "9000000 2 3 100 10 20 30 1\n")
-    assert "2 147 km or more apart" in refusal(tmp_path, text_dataset(), [path])
+@pytest.mark.parametrize("stray", ["9000000 2 3", "1 2 1000000"])
+def test_a_stray_point_far_away(tmp_path, stray):
+    path = write_text(tmp_path, GOOD_ROW + f"{stray} 100 10 20 30 1\n")
+    message = refusal(tmp_path, text_dataset(), [path])
+    assert "a.txt" in message
+    assert "lies more than 100 km from the first one" in message
 
 
 def test_readers_that_contradict_themselves():

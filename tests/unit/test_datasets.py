@@ -103,6 +103,11 @@ def set_key(facts, keys, value):
         (("class_map",), {}, "class_map is empty"),
         (("reader", "fields"), {"kind": "label"}, "reader.fields.kind: would put the true labels into the map"),
         (("reader", "fields"), {"label": "confidence"}, "reader.fields.label: is a name the map keeps for itself"),
+        (("reader", "fields"), {"scan_angle": "confidence"}, "reader.fields.scan_angle: is a name the map keeps for itself"),
+        (("reader", "fields"), {"a" * 40: "confidence"}, "is a name LAZ cannot hold"),
+        (("reader", "intensity_range"), [300, 0], "reader.intensity_range: is [300, 0]"),
+        (("reader", "delimiter"), "", "reader.delimiter: is empty"),
+        (("reader", "offset_m"), [float("nan"), 0, 0], "key 'reader.offset_m.0' is infinite or not a number"),
         (("groups", "Ground"), ["ground", "facade"], "groups has a class twice"),
     ],
 )

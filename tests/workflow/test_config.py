@@ -81,6 +81,7 @@ def test_misspelt_key_is_named(override, key, tmp_path):
         ({"voxelize_map": {"size_m": 0}}, "voxelize_map.size_m"),
         ({"voxelize_map": {"size_m": -0.1}}, "voxelize_map.size_m"),
         ({"train_segmenter": {"network": {"k": 22}}}, "train_segmenter.network.k"),
+        ({"voxelize_map": {"size_m": float("nan")}}, "voxelize_map.size_m"),
         ({"labelled_maps": ["city_tiny/nomodel"]}, "nomodel"),
         ({"labelled_maps": ["own_scan/c2cnn"]}, "own_scan"),
         ({"labelled_maps": ["terramobilita/c2cnn"]}, "terramobilita"),
