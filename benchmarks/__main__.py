@@ -8,6 +8,9 @@ import pandas as pd
 
 from benchmarks.bench_drives import bench_drives
 from benchmarks.bench_labelling import run_labelling_benchmark
+from benchmarks.bench_localization import bench_localization
+from benchmarks.bench_registration import bench_registration
+from benchmarks.bench_sensors import bench_sensors
 from benchmarks.bench_simulation import bench_simulation
 from streetscan.io.tables import save_tables
 
@@ -20,13 +23,16 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--data-root", default="../shared/data", help="folder with real recordings")
     parser.add_argument("--output", default="results/bench.csv")
-    parser.add_argument("names", nargs="*", help="of simulation, labelling, drives; all by default")
+    parser.add_argument("names", nargs="*", help="of simulation, sensors, labelling, drives, localization, registration; all by default")
     arguments = parser.parse_args()
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(message)s", datefmt="%H:%M:%S")
     benchmarks = {
         "simulation": bench_simulation,
+        "sensors": bench_sensors,
         "labelling": lambda: run_labelling_benchmark(arguments.data_root),
         "drives": lambda: bench_drives(arguments.data_root),
+        "localization": lambda: bench_localization(arguments.data_root),
+        "registration": lambda: bench_registration(arguments.data_root),
     }
     chosen = arguments.names or list(benchmarks)
     if unknown := set(chosen) - set(benchmarks):

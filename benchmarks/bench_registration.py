@@ -6,7 +6,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -16,31 +16,21 @@ import open3d as o3d
 from streetscan.drives import Recording, read_drive_facts
 from streetscan.frames import LidarFrame
 from streetscan.geometry import transform
-from streetscan.io.trajectories import read_kitti_poses
-from streetscan.registration.evaluation import evaluate_chain
+from streetscan.registration.evaluation import evaluate_chain, smooth_positions
 from streetscan.registration.grid_classes import (
     GROUND,
     SETTINGS_OF_THE_REPORT,
-    SHORT_OBJECT,
     TALL_STRUCTURE,
-    GridSettings,
     classify_points,
-    count_classes,
     segment_frame,
 )
+from streetscan.registration.grid_evaluation import GRID_CLASSES, count_confusion, score_grid
 from streetscan.registration.merging import MergeFrame, merge_frames
-from streetscan.registration.odometry import Frame, FramePose, Odometry, OdometrySettings
+from streetscan.registration.odometry import Frame, FramePose, OdometrySettings, make_odometry, register_drive, register_pair
 
 ROOT = Path(__file__).resolve().parents[1]
 SENSOR_HEIGHT_M = 1.73
-# SemanticKITTI's ids in the four classes. Fences, vegetation and other objects (51, 70, 99) have any height and are left out; buses and
-# trucks are short objects by meaning (they move), tall by shape: they count against tall structure.
-SEMANTIC_IDS = {
-    GROUND: (40, 44, 48, 49, 60, 72),
-    SHORT_OBJECT: (10, 11, 13, 15, 16, 18, 20, 30, 31, 32, *range(252, 260)),
-    TALL_STRUCTURE: (50, 52, 71, 80, 81),
-}
-CLASS_NAMES = {GROUND: "ground", SHORT_OBJECT: "short_object", TALL_STRUCTURE: "tall_structure"}
+SEMANTIC_IDS = GRID_CLASSES["semantickitti"]
 PAPER_RATIO = "paper 11-46"
 
 
@@ -91,18 +81,11 @@ def _bench_grid(scans: list, n_repeats: int) -> list[dict]:
         "thresholds_of_the_report": lambda p: segment_frame(p, SENSOR_HEIGHT_M, SETTINGS_OF_THE_REPORT, "none"),
     }
     for name, segment in variants.items():
-        confusion, n_sparse, n_all = np.zeros((4, 4), np.int64), 0, 0
-        for p, ids in scans:
-            labels = segment(p)
-            n_sparse, n_all = n_sparse + (labels == 0).sum(), n_all + len(labels)
-            for truth, wanted in SEMANTIC_IDS.items():
-                confusion[truth] += count_classes(labels[np.isin(ids, wanted)])
-        for c, title in CLASS_NAMES.items():
-            rows.append(
-                _row(f"grid_classes_{name}", f"{title} precision", 100 * confusion[c, c] / confusion[1:, c].sum(), "%", n=len(scans))
-            )
-            rows.append(_row(f"grid_classes_{name}", f"{title} recall", 100 * confusion[c, c] / confusion[c].sum(), "%", n=len(scans)))
-        rows.append(_row(f"grid_classes_{name}", "sparse share", 100 * n_sparse / n_all, "%", "paper <10", len(scans)))
+        found = [(segment(p), ids) for p, ids in scans]
+        for c, metric, value, unit, _ in score_grid(count_confusion(found, SEMANTIC_IDS)).itertuples(index=False):
+            rows.append(_row(f"grid_classes_{name}", f"{c} {metric}", value, unit, n=len(scans)))
+        sparse = np.concatenate([labels == 0 for labels, _ in found])
+        rows.append(_row(f"grid_classes_{name}", "sparse share", 100 * sparse.mean(), "%", "paper <10", len(scans)))
     return rows + _bench_plane(scans)
 
 
@@ -156,7 +139,6 @@ class _Drive:
     frames: list[LidarFrame]
     reference: np.ndarray
     is_planar: bool
-    smoothing_s: float
 
     def every(self, step: int) -> "_Drive":
         return replace(self, frames=self.frames[::step], reference=self.reference[::step])
@@ -168,14 +150,10 @@ def _load_drive(data_root: Path, name: str) -> _Drive | None:
         return None
     recording = Recording(facts, data_root)
     frames = [r for r in recording.records() if isinstance(r, LidarFrame)]
-    derived = {
-        "kitti_0005": "kitti_2011_09_26_drive_0005/derived/velo_poses_from_icp_154.txt",
-        "muehlburger_tor": "kit_hdl64_muehlburgertor/derived/velo_poses_from_icp_501.txt",
-    }
-    if name in derived:
-        # Registered poses without a vertical truth: x, y and yaw are compared.
-        return _Drive(name, frames, read_kitti_poses(data_root / derived[name])[: len(frames)], True, 0.0)
-    return _Drive(name, frames, np.array([recording.true_pose(f) for f in frames]), False, 1.0)
+    truth = facts.truth.poses
+    reference = np.array([recording.true_pose(f) for f in frames])
+    reference = smooth_positions(np.array([f.time_ns / 1e9 for f in frames]), reference, truth.get("smoothing_s", 0.0))
+    return _Drive(name, frames, reference, truth.get("is_planar", False))
 
 
 def _time(call) -> float:
@@ -186,7 +164,7 @@ def _time(call) -> float:
 
 def _run_chain(drive: _Drive, settings: OdometrySettings) -> tuple[list[FramePose], np.ndarray]:
     """Rows and seconds per frame; the grid's classes are part of a frame's time when they are used."""
-    odometry, rows, seconds = Odometry(settings), [], []
+    odometry, rows, seconds = make_odometry(settings), [], []
     for i, frame in enumerate(drive.frames):
         start_s = time.perf_counter()
         labels = segment_frame(frame.points, SENSOR_HEIGHT_M) if settings.classes else None
@@ -197,7 +175,7 @@ def _run_chain(drive: _Drive, settings: OdometrySettings) -> tuple[list[FramePos
 
 
 def _score(drive: _Drive, rows: list[FramePose], seconds: np.ndarray) -> dict[str, tuple[float, str, int]]:
-    table = evaluate_chain(rows, drive.reference, seconds, drive.is_planar, drive.smoothing_s)
+    table = evaluate_chain(rows, drive.reference, seconds, drive.is_planar)
     return {metric: (value, unit, n) for metric, value, unit, n in table.itertuples(index=False)}
 
 
@@ -207,7 +185,7 @@ def _bench_pairs(drive: _Drive) -> list[dict]:
     for variant, classes in (("presegmented", (TALL_STRUCTURE,)), ("raw", ())):
         scores = _score(drive, *_run_chain(drive, OdometrySettings(target="previous", classes=classes)))
         medians[variant] = scores["pair_time_median"][0]
-        for metric in ("pair_time_median", "pair_time_p95", "failed_pairs", "rpe_rmse", "rpe_rotation_rmse", "ape_rmse", "drift_50m"):
+        for metric in ("pair_time_median", "pair_time_p95", "failed_pairs", "rpe_rmse", "rpe_rotation_rmse", "ape_rmse", "drift"):
             value, unit, n = scores[metric]
             rows.append(_row(f"pairs_{drive.name}", f"{variant} {metric}", value, unit, n=n))
     ratio = medians["raw"] / medians["presegmented"]
@@ -219,35 +197,16 @@ def _bench_odometry(drive: _Drive) -> list[dict]:
     rows = []
     chains = {
         "": lambda: _run_chain(drive, OdometrySettings()),
-        "kiss-icp": lambda: _run_kiss(drive),
-        "small_gicp GICP, pairs": lambda: _run_chain(drive, OdometrySettings("gicp", "previous", (), thin_m=0.25)),
-        "small_gicp VGICP, street": lambda: _run_chain(drive, OdometrySettings("vgicp", "street", (), thin_m=0.25)),
+        "kiss-icp": lambda: _run_chain(drive, OdometrySettings("kiss_icp", "street", ())),
+        "small_gicp GICP, pairs": lambda: _run_chain(drive, OdometrySettings("gicp", "previous", ())),
+        "small_gicp VGICP, street": lambda: _run_chain(drive, OdometrySettings("vgicp", "street", ())),
     }
     for peer, run in chains.items():
         scores = _score(drive, *run())
-        for metric in ("frame_rate", "failed_pairs", "ape_rmse", "rpe_rmse", "rpe_max", "rpe_rotation_rmse", "drift_50m"):
+        for metric in ("frame_rate", "failed_pairs", "ape_rmse", "rpe_rmse", "rpe_max", "rpe_rotation_rmse", "drift"):
             value, unit, n = scores[metric]
             rows.append(_row(f"odometry_{drive.name}", metric, value, unit, peer, n))
     return rows
-
-
-def _run_kiss(drive: _Drive) -> tuple[list[FramePose], np.ndarray]:
-    from kiss_icp.config import KISSConfig
-    from kiss_icp.kiss_icp import KissICP
-
-    config = KISSConfig()
-    config.data.max_range, config.mapping.voxel_size = 100.0, 1.0
-    config.data.deskew = any(f.time_offset_s is not None and f.time_offset_s.any() for f in drive.frames)
-    odometry, rows, seconds = KissICP(config), [], []
-    for i, frame in enumerate(drive.frames):
-        offsets = frame.time_offset_s if config.data.deskew else np.zeros(0)
-        start_s = time.perf_counter()
-        odometry.register_frame(frame.points.astype(np.float64), np.asarray(offsets, np.float64))
-        seconds.append(time.perf_counter() - start_s)
-        rows.append(FramePose(i, frame.time_ns / 1e9, "ok" if i else "start", 0, odometry.last_pose.copy()))
-    # KISS-ICP de-skews to the end of the revolution, ours to its middle: half a revolution's motion lies between, the same in
-    # every frame of even motion, so relative poses compare.
-    return rows, np.array(seconds)
 
 
 def _bench_rates(drive: _Drive) -> list[dict]:
@@ -265,8 +224,6 @@ def _bench_rates(drive: _Drive) -> list[dict]:
 
 def _bench_no_prediction(drive: _Drive, max_distance_m: float = 0.5) -> list[dict]:
     """Pairs 1, 3, 5 and 10 frames apart started from no motion: how many are right, and how many wrong ones are taken for right."""
-    from streetscan.registration.odometry import register_pair
-
     rows, moving = [], [i for i in range(len(drive.frames)) if i >= (200 if drive.name == "muehlburger_tor" else 0)]
     for step in (1, 3, 5, 10):
         for variant, classes in (("presegmented", (TALL_STRUCTURE,)), ("raw", ())):
@@ -291,33 +248,67 @@ def _bench_no_prediction(drive: _Drive, max_distance_m: float = 0.5) -> list[dic
 
 
 def _bench_memory() -> list[dict]:
-    """Peak memory of merging 100 and 1000 frames of 60 000 points along an endless street."""
+    """Peak memory of registering and merging 100 and 1000 frames along an endless street."""
     rows = []
-    for n in (100, 1000):
-        output = subprocess.run([sys.executable, "-m", "benchmarks.bench_registration", str(n)], capture_output=True, text=True, cwd=ROOT)
-        output.check_returncode()
-        seconds, peak_mb = (float(v) for v in output.stdout.split())
-        rows.append(_row("merge_frames", f"peak memory of {n} frames", peak_mb, "MB", n=n))
-        rows.append(_row("merge_frames", f"frames per second of {n} frames", n / seconds, "fps", n=n))
+    for step in _MANY:
+        for n in (100, 1000):
+            command = [sys.executable, "-m", "benchmarks.bench_registration", step, str(n)]
+            output = subprocess.run(command, capture_output=True, text=True, cwd=ROOT)
+            output.check_returncode()
+            seconds, peak_mb = (float(v) for v in output.stdout.split())
+            rows.append(_row(step, f"peak memory of {n} frames", peak_mb, "MB", n=n))
+            rows.append(_row(step, f"frames per second of {n} frames", n / seconds, "fps", n=n))
     return rows
 
 
-def _merge_many(n_frames: int) -> None:
-    """Prints the seconds and the peak memory in MB."""
+def _endless_street(n_frames: int) -> Callable[[int, int], Iterator[tuple[int, np.ndarray]]]:
+    """Frames of 40 000 points, a metre apart, between two fronts with recesses of their own all along the way."""
     rng = np.random.default_rng(1)
-    points = np.c_[rng.uniform(-40, 40, (60_000, 2)), np.full(60_000, -SENSOR_HEIGHT_M)].astype(np.float32)
-    points[::3, 1], points[::3, 2] = 12.0, rng.uniform(-SENSOR_HEIGHT_M, 3, 20_000)
-    labels = segment_frame(points, SENSOR_HEIGHT_M, GridSettings())
-    poses = {i: FramePose(i, 0.1 * i, "ok", 0, transform([float(i), 0, 0])) for i in range(n_frames)}
+    n = 200 * (n_frames + 100)
+    x = np.sort(rng.uniform(-50, n_frames + 50, n))
+    depth = rng.uniform(0, 2, n_frames + 102)[np.floor((x + 50) / 4).astype(int)]
+    wall = np.stack([x, np.where(rng.random(n) < 0.5, -1, 1) * (10 + depth), rng.uniform(-SENSOR_HEIGHT_M, 4, n)], axis=1)
+    ground = np.stack([x, rng.uniform(-9, 9, n), np.full(n, -SENSOR_HEIGHT_M)], axis=1)
+
+    def read(first: int, last: int) -> Iterator[tuple[int, np.ndarray]]:
+        for i in range(first, min(last, n_frames)):
+            a, b = np.searchsorted(x, (i - 50, i + 50))
+            yield i, (np.concatenate([wall[a:b], ground[a:b]]) - [i, 0, 0]).astype(np.float32)
+
+    return read
+
+
+def _merge_many(n_frames: int, folder: Path) -> None:
+    read_points = _endless_street(n_frames)
 
     def read(first: int, last: int) -> Iterator[MergeFrame]:
-        for i in range(first, min(last, n_frames)):
-            yield MergeFrame(i, 0.1 * i, points, labels)
+        for i, points in read_points(first, last):
+            yield MergeFrame(i, 0.1 * i, points, segment_frame(points, SENSOR_HEIGHT_M))
 
+    poses = {i: FramePose(i, 0.1 * i, "ok", 0, transform([float(i), 0, 0])) for i in range(n_frames)}
+    merge_frames(read, poses, folder / "tiles", folder / "work")
+
+
+def _register_many(n_frames: int, folder: Path) -> None:
+    read_points = _endless_street(n_frames)
+
+    def read(first: int, last: int) -> Iterator[Frame]:
+        for i, points in read_points(first, last):
+            yield Frame(i, 0.1 * i, points, segment_frame(points, SENSOR_HEIGHT_M))
+
+    poses, _ = register_drive(read, n_frames, folder)
+    assert all(pose.is_posed for pose in poses)
+
+
+_MANY = {"register_frames": _register_many, "merge_frames": _merge_many}
+
+
+def _run_many(step: str, n_frames: int) -> None:
+    """Prints the seconds and the peak memory in MB."""
     with tempfile.TemporaryDirectory() as folder:
-        seconds = _time(lambda: merge_frames(read, poses, Path(folder) / "tiles", Path(folder) / "work"))
+        seconds = _time(lambda: _MANY[step](n_frames, Path(folder)))
     print(seconds, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
 
 
 if __name__ == "__main__":
-    _merge_many(int(sys.argv[1]))
+    _run_many(sys.argv[1], int(sys.argv[2]))

@@ -139,6 +139,74 @@ rule evaluate_sensor:
         "../scripts/evaluate_sensor.py"
 
 
+rule evaluate_frames:
+    """Precision and recall of the grid's classes against the true labels of a drive's points."""
+    input:
+        code=library("evaluate_frames"),
+        truth=drive_file("truth"),
+        classes="results/segment_frames/{drive}/classes.npz",
+    output:
+        scores="results/evaluate_frames/{drive}/scores.csv",
+    log:
+        "results/evaluate_frames/{drive}/scores.log",
+    conda:
+        "../envs/streetscan.yaml"
+    resources:
+        mem_mb=1000,
+    script:
+        "../scripts/evaluate_frames.py"
+
+
+rule evaluate_registration:
+    """Failed pairs, absolute and relative errors, drift and time of a drive's poses; its path beside the true one."""
+    input:
+        code=library("evaluate_registration"),
+        truth=drive_file("truth"),
+        poses="results/register_frames/{drive}/{registrar}/poses.csv",
+        timings=timings_of,
+    output:
+        scores="results/evaluate_registration/{drive}/{registrar}/scores.csv",
+        trajectory="results/evaluate_registration/{drive}/{registrar}/trajectory.csv",
+    log:
+        "results/evaluate_registration/{drive}/{registrar}/scores.log",
+    conda:
+        "../envs/streetscan.yaml"
+    resources:
+        mem_mb=1000,
+    params:
+        **config["evaluate_registration"],
+        reference=reference_facts,
+    script:
+        "../scripts/evaluate_registration.py"
+
+
+rule evaluate_localization:
+    """Errors, verdicts, the thesis' keypoint distance and the floor of a drive's poses on a map."""
+    input:
+        code=library("evaluate_localization"),
+        drive=drive_file("drive.mcap"),
+        truth=drive_file("truth"),
+        poses="results/localize_frames/{dataset}/{drive}/{labels}/{localizer}/poses.csv",
+        landmarks=reference_file("landmarks.npz"),
+        reference=reference_file("reference.npz"),
+        voxels=mapped_truth("voxelize_map/{dataset}/{split}/voxels.npz"),
+        labels=mapped_truth("label_voxels/{dataset}/{split}/labels.npy"),
+    output:
+        errors="results/evaluate_localization/{dataset}/{drive}/{labels}/{localizer}/errors.csv",
+        scores="results/evaluate_localization/{dataset}/{drive}/{labels}/{localizer}/scores.csv",
+    log:
+        "results/evaluate_localization/{dataset}/{drive}/{labels}/{localizer}/scores.log",
+    conda:
+        "../envs/streetscan.yaml"
+    resources:
+        mem_mb=3000,
+    params:
+        **config["evaluate_localization"],
+        settings=localizer_settings,
+    script:
+        "../scripts/evaluate_localization.py"
+
+
 rule tabulate_benchmarks:
     """The papers' tables with ours beside theirs, as CSV, Markdown and LaTeX, and one report of the run."""
     input:
@@ -149,6 +217,17 @@ rule tabulate_benchmarks:
         views=for_pairs("results/evaluate_views/{dataset}/{split}/{model}/views", LABELLED),
         realism=list(realism_tables().values()),
         densities=expand("results/evaluate_density/{dataset}/density.csv", dataset=STATIC_SCANS),
+        registrations=for_drives("results/evaluate_registration/{drive}/{registrar}/scores.csv", REGISTERED),
+        trajectories=for_drives("results/evaluate_registration/{drive}/{registrar}/trajectory.csv", REGISTERED),
+        grids=for_drives("results/evaluate_frames/{drive}/scores.csv", LABELLED_DRIVES),
+        streets=for_drives("results/merge_frames/{drive}/{registrar}/street.png", MERGED),
+        frames=for_drives("results/show_frames/{drive}/pictures", REGISTERED + MERGED),
+        localizations=for_localizations(
+            "results/evaluate_localization/{dataset}/{drive}/{labels}/{localizer}/errors.csv", SCORED_LOCALIZATIONS
+        ),
+        localization_pictures=for_localizations(
+            "results/localize_frames/{dataset}/{drive}/{labels}/{localizer}/pictures", SCORED_LOCALIZATIONS
+        ),
     output:
         scores="results/tabulate_benchmarks/{run}/scores.csv",
         report="results/tabulate_benchmarks/{run}/report.html",
@@ -164,6 +243,9 @@ rule tabulate_benchmarks:
         evaluated=EVALUATED,
         trained=TRAINED,
         viewed=LABELLED,
+        registered=REGISTERED,
+        merged=MERGED,
+        localized=SCORED_LOCALIZATIONS,
         facts={dataset: facts(dataset)["published"] for dataset, _ in LABELLED if "published" in facts(dataset)},
         realism={
             "simulated": [d for d, _ in SIMULATED],

@@ -21,6 +21,9 @@ wildcard_constraints:
     tiles=r"\d+of\d+",
     model=r"[a-z0-9_]+",
     drive=r"[a-z0-9_]+",
+    registrar=r"[a-z0-9_]+",
+    labels=r"[a-z0-9_]+",
+    localizer=r"[a-z0-9_]+",
     run=r"[a-z0-9_]+",
 
 
@@ -70,6 +73,10 @@ def check_config():
 
 
 check_config()
+
+SELECTIONS = ("labelled_maps", "drives", "registered_drives", "merged_drives", "localized_drives")
+if not any(config[key] for key in SELECTIONS):
+    config.update(config["first_run"])
 
 DATASETS = Path(config["datasets_folder"] or HOME / "config" / "datasets")
 DRIVES = Path(config["drives_folder"] or HOME / "config" / "drives")
@@ -135,7 +142,7 @@ def street_of(wildcards):
 
 def step_of_map(dataset):
     """The step that makes a data set's map."""
-    return {"simulate": "simulate_city", "import": "import_map"}[facts(dataset)["source"]]
+    return {"simulate": "simulate_city", "import": "import_map", "merge": "import_map"}[facts(dataset)["source"]]
 
 
 def map_of(wildcards):
@@ -150,7 +157,11 @@ def truth_of(wildcards):
 
 @as_workflow_error
 def list_files(name, part):
-    """The files of a part of an imported data set; one that is missing is an error of one sentence."""
+    """The files of a part of an imported data set, or the tiles of a drive; one that is missing is an error of one sentence."""
+    if facts(name)["source"] == "merge":
+        drive, registrar = (facts(name)["merge"][key] for key in ("drive", "registrar"))
+        check_registrar(drive, registrar, f"data set '{name}'")
+        return [f"results/merge_frames/{drive}/{registrar}/tiles"]
     return [str(path) for path in dataset(name).files(part, config["data_root"])]
 
 
@@ -229,9 +240,9 @@ def classes_of(dataset):
     return sorted(names - {"unlabelled"})
 
 
-def pairs(key):
-    """The (data set, model) pairs of a list of `dataset/model` names in the config."""
-    return [tuple(name.split("/")) for name in config[key]]
+def pairs(names):
+    """The names' parts, such as data set and model of `dataset/model`."""
+    return [tuple(name.split("/")) for name in names]
 
 
 def check_pair(name, model, needs_map=True):
@@ -251,7 +262,39 @@ def check_pair(name, model, needs_map=True):
         check_pair(*other.split("/"), needs_map=False)
 
 
-LABELLED = pairs("labelled_maps")
+def has_labels(drive):
+    """Whether the true labels of a drive's points are known."""
+    return drive_facts(drive)["reader"] == "simulate" or "labels" in drive_facts(drive).get("truth", {})
+
+
+def registration_settings(wildcards):
+    """`register_frames.settings` with what the registrar is and changes."""
+    registrar, settings = config["registrars"][wildcards.registrar], config["register_frames"]["settings"]
+    changed = settings | registrar["settings"] | {"ndt": settings["ndt"] | registrar["settings"].get("ndt", {})}
+    return changed | {key: registrar[key] for key in ("method", "target", "classes")} | {"n_threads": config["n_threads"]}
+
+
+def timings_of(wildcards):
+    """What a registrar's frames took: the registration, and the grid where its classes are matched."""
+    paths = [f"results/register_frames/{wildcards.drive}/{wildcards.registrar}/timings.csv"]
+    uses_grid = config["registrars"][wildcards.registrar]["classes"]
+    return paths + [f"results/segment_frames/{wildcards.drive}/timings.csv"] * bool(uses_grid)
+
+
+def reference_facts(wildcards):
+    """How good a drive's true poses are: `is_planar` and `smoothing_s`."""
+    poses = drive_facts(wildcards.drive).get("truth", {}).get("poses", {})
+    return {key: poses[key] for key in ("is_planar", "smoothing_s") if key in poses}
+
+
+def check_registrar(drive, registrar, where):
+    """Refuse a drive without a file and a registrar that is not in the config."""
+    drive_facts(drive)
+    if registrar not in config["registrars"]:
+        raise WorkflowError(f"{where}: registrar '{registrar}' is not in the config; use one of {', '.join(config['registrars'])}.")
+
+
+LABELLED = pairs(config["labelled_maps"])
 for name, model in LABELLED:
     check_pair(name, model)
     for part in facts(name)["parts"]:
@@ -271,15 +314,22 @@ def is_complete(folder, patterns):
 
 
 def find_compared():
-    """Real maps and drives the simulated ones are put beside, and the names of those whose recordings are not there."""
+    """Real maps and drives the simulated ones are put beside, and the names of those whose files or recordings are not there."""
     maps, drives, absent = [], [], []
-    for name, part in (pair.split("/") for pair in config["evaluate_realism"]["compared_maps"]):
-        there = is_complete(".", dataset(name).parts[part].files)
+    for name, part in pairs(config["evaluate_realism"]["compared_maps"]):
+        there = (DATASETS / f"{name}.yaml").is_file() and is_complete(".", dataset(name).parts[part].files)
         (maps if there else absent).append((name, part) if there else name)
     for name in config["evaluate_realism"]["compared_drives"]:
-        there = is_complete(yaml.safe_load((DRIVES / f"{name}.yaml").read_text())["root"], ["*"])
+        file = DRIVES / f"{name}.yaml"
+        there = file.is_file() and is_complete(yaml.safe_load(file.read_text())["root"], ["*"])
         (drives if there else absent).append(name)
     return maps, drives, absent
+
+
+def find_static_scans():
+    """Data sets of a static scanner whose streets a mobile map of this run shows."""
+    wanted = [d for d in config["evaluate_density"]["static_scans"] if SIMULATED and (DATASETS / f"{d}.yaml").is_file()]
+    return [d for d in wanted if (facts(d)["same_streets_as"], "test") in SIMULATED]
 
 
 def moves_on_a_van(name):
@@ -289,8 +339,7 @@ def moves_on_a_van(name):
 
 SIMULATED = list(dict.fromkeys((d, labelled_part(d)) for d, _ in LABELLED if moves_on_a_van(d)))
 COMPARED_MAPS, COMPARED_DRIVES, NOT_COMPARED = find_compared() if SIMULATED else ([], [], [])
-# Static scans are shown beside the mobile maps of the same streets.
-STATIC_SCANS = [d for d in config["evaluate_density"]["static_scans"] if (facts(d)["same_streets_as"], "test") in SIMULATED]
+STATIC_SCANS = find_static_scans()
 
 
 def realism_tables():
@@ -302,3 +351,97 @@ def realism_tables():
 def map_and_truth(name):
     """A simulated data set's test map and its points' labels."""
     return [f"results/simulate_city/{name}/test/{file}" for file in ("map.laz", "truth/labels.npy")]
+
+
+REGISTERED, MERGED = pairs(config["registered_drives"]), pairs(config["merged_drives"])
+for drive, registrar in REGISTERED + MERGED:
+    check_registrar(drive, registrar, "registered_drives and merged_drives")
+LABELLED_DRIVES = [(d, r) for d, r in REGISTERED if has_labels(d)]
+
+
+def for_drives(path, selected):
+    """A path's instances for (drive, registrar) pairs."""
+    return list(dict.fromkeys(path.format(drive=d, registrar=r) for d, r in selected))
+
+
+def localizations():
+    """The (data set, drive, labels, localizer) tuples of `localized_drives`, each checked."""
+    found = pairs(config["localized_drives"])
+    for dataset_, drive, labels, localizer in found:
+        where = f"localized_drives: {dataset_}/{drive}/{labels}/{localizer}"
+        if localizer not in config["localizers"]:
+            raise WorkflowError(f"{where}: localizer '{localizer}' is not in the config; use one of {', '.join(config['localizers'])}.")
+        if (config["localizers"][localizer]["start"] == "even") != localizer.startswith("oracle_"):
+            raise WorkflowError(
+                f"{where}: a localizer whose starts are made from true poses, and no other, has a name that begins with oracle_."
+            )
+        mapped_split(dataset_, drive)
+        if labels == "oracle_truth" and facts(dataset_)["truth"] != "labels":
+            raise WorkflowError(f"{where}: the data set has no true labels; use raw or a model.")
+        if labels not in ("raw", "oracle_truth"):
+            check_pair(dataset_, labels)
+    return found
+
+
+def mapped_split(dataset, drive):
+    """The part of a data set a drive goes through: a simulated drive says it, a real one has the part that is labelled."""
+    simulation = drive_facts(drive).get("simulation")
+    if simulation is None:
+        return labelled_part(dataset)
+    if simulation["dataset"] != dataset:
+        raise WorkflowError(f"drive '{drive}' goes through data set '{simulation['dataset']}', not '{dataset}'.")
+    return simulation["split"]
+
+
+def predictions_of(wildcards):
+    """The label map whose classes make landmarks; none for a raw map and for the true classes."""
+    if wildcards.labels in ("raw", "oracle_truth"):
+        return []
+    folder = f"results/label_map/{wildcards.dataset}/{wildcards.split}/{wildcards.labels}"
+    return [f"{folder}/voxels_{tiles}.npz" for tiles in tiles_of(wildcards.dataset, wildcards.split)]
+
+
+def reference_file(name):
+    """An input function: a file of cluster_landmarks for the part of the map a drive goes through."""
+
+    def path(wildcards):
+        split = mapped_split(wildcards.dataset, wildcards.drive)
+        return f"results/cluster_landmarks/{wildcards.dataset}/{split}/{wildcards.labels}/{name}"
+
+    return path
+
+
+def localizer_settings(wildcards):
+    """`localize_frames.settings` with what the localizer changes, section by section."""
+    settings, changed = config["localize_frames"]["settings"], config["localizers"][wildcards.localizer]["settings"]
+    return {k: (v | changed[k] if isinstance(v, dict) else changed[k]) if k in changed else v for k, v in settings.items()}
+
+
+def mapped_truth(name):
+    """An input function: a file of the true classes of the map's voxels, where they are known; for scoring."""
+
+    def path(wildcards):
+        split = mapped_split(wildcards.dataset, wildcards.drive)
+        known = facts(wildcards.dataset)["truth"] == "labels"
+        return f"results/{name.format(dataset=wildcards.dataset, split=split)}" if known else []
+
+    return path
+
+
+def place_of(drive):
+    """What a simulated drive goes along (main_road, narrow_road, crossroads, ...), or nothing."""
+    return drive_facts(drive).get("simulation", {}).get("place", "")
+
+
+def has_poses(drive):
+    """Whether the true poses of a drive are known."""
+    return drive_facts(drive)["reader"] == "simulate" or "poses" in drive_facts(drive).get("truth", {})
+
+
+LOCALIZED = localizations()
+SCORED_LOCALIZATIONS = [(*names, place_of(names[1])) for names in LOCALIZED if has_poses(names[1])]
+
+
+def for_localizations(path, selected):
+    """A path's instances for (data set, drive, labels, localizer) tuples."""
+    return [path.format(dataset=d, drive=r, labels=m, localizer=n) for d, r, m, n, *_ in selected]

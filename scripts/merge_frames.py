@@ -1,6 +1,7 @@
 """Registered frames as one cloud in LAZ tiles: a map that import_map takes."""
 
 import logging
+import shutil
 from pathlib import Path
 
 from streetscan.logs import logged
@@ -24,9 +25,11 @@ def main(
         settings: keys of MergeSettings (`classes`: names).
     """
     chosen = make_merge_settings(settings)
-    frames, poses = DriveFrames(drive_path, classes_path), choose_segment(read_pose_table(poses_path), chosen.segment)
-    work_folder = f"{tiles_folder}.resume"
-    counts = merge_frames(frames.merge_frames, poses, tiles_folder, work_folder, chosen, elevation_path=elevation_path)
+    frames = DriveFrames(drive_path, classes_path)
+    poses = choose_segment(frames.poses_of_level(read_pose_table(poses_path)), chosen.segment)
+    work_folder = Path(f"{tiles_folder}.resume")
+    counts = merge_frames(frames.merge_frames, poses, tiles_folder, work_folder / frames.digest, chosen, elevation_path=elevation_path)
+    shutil.rmtree(work_folder, ignore_errors=True)
     write_picture(picture_path, draw_merged(tiles_folder, poses))
     logger.info("%s", ", ".join(f"{n} {name.replace('_', ' ')}" for name, n in counts.items()))
 

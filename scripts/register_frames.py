@@ -14,23 +14,26 @@ from streetscan.registration.pose_tables import tabulate_poses, write_tum_segmen
 
 def main(
     drive_path: str | Path, classes_path: str | Path, poses_path: str | Path, tum_path: str | Path, timings_path: str | Path,
-    group_frames: int, step: int, registrar: dict,
+    group_frames: int, frames: dict, settings: dict,
 ) -> None:  # fmt: skip
     """
     Args:
         drive_path, classes_path: the drive and what segment_frames made of it.
         poses_path, tum_path, timings_path: to write: one row per frame, the longest segment as TUM, and the seconds per frame.
         group_frames: frames after which a stopped run can continue.
-        step: every how many frames one is registered.
-        registrar: keys of OdometrySettings (`ndt`: of NdtSettings; `classes`: names).
+        frames: `first`, `last` and `every` of DriveFrames.
+        settings: keys of OdometrySettings (`ndt`: of NdtSettings; `classes`: names).
     """
-    frames, work_folder = DriveFrames(drive_path, classes_path, step), Path(f"{poses_path}.resume")
-    poses, seconds = register_drive(frames.frames, len(frames), work_folder, make_settings(registrar), group_frames)
+    read, work_folder = DriveFrames(drive_path, classes_path, **frames), Path(f"{poses_path}.resume")
+    poses, seconds = register_drive(
+        read.frames, read.last, work_folder / read.digest, make_settings(settings), group_frames, first_frame=read.first
+    )
     log_chain(poses)
+    poses = read.poses_of_lidar(poses)
     timings = pd.DataFrame({"frame": [p.index for p in poses], "duration_s": seconds})
     save_tables({poses_path: tabulate_poses(poses), timings_path: timings})
     write_tum_segment(tum_path, poses)
-    shutil.rmtree(work_folder)
+    shutil.rmtree(work_folder, ignore_errors=True)
 
 
 if __name__ == "__main__":

@@ -6,49 +6,49 @@ from pathlib import Path
 import pandas as pd
 import yaml
 
-from streetscan.benchmarks import report, scores, tables
+from streetscan.benchmarks import localizations, registrations, report, scores, tables
 from streetscan.logs import logged
 
 Pairs = Sequence[tuple[str, str]]
 
 
 def main(
-    inputs: Mapping, outputs: Mapping, evaluated: Pairs, trained: Pairs, viewed: Pairs, facts: Mapping, realism: Mapping, config: Mapping
-):
+    inputs: Mapping, outputs: Mapping, evaluated: Pairs, trained: Pairs, viewed: Pairs, registered: Pairs, merged: Pairs,
+    localized: Sequence[tuple[str, ...]], facts: Mapping, realism: Mapping, config: Mapping,
+):  # fmt: skip
     """
     Args:
-        inputs: `evaluations`, `confusions` (scores.csv and confusion.csv of evaluate_labels, one per pair in `evaluated`),
-            `histories` (one per pair in `trained`), `views` (folders of evaluate_views, one per pair in `viewed`), `realism`
-            (realism.csv, one per name in `compared`), `densities` (density.csv, one per key of `static_scans`).
+        inputs: of evaluate_labels `evaluations` and `confusions`, one per pair in `evaluated`; `histories`, per pair in `trained`; of
+            evaluate_views `views`, per pair in `viewed`; of evaluate_registration `registrations` and `trajectories`, per pair in
+            `registered`; of merge_frames `streets`, per pair in `merged`; of evaluate_frames `grids` and of show_frames `frames`, per
+            drive; of evaluate_localization `localizations` and of localize_frames `localization_pictures`, per name in `localized`;
+            `realism` (realism.csv, one per name in `compared`), `densities` (density.csv, one per key of `static_scans`).
         outputs: `scores`, `report` (files), `tables`, `figures` (folders).
-        evaluated, trained, viewed: (data set, model) pairs.
-        facts: data set to its facts for Table 1.2.
-        realism: `simulated` data sets; names `compared` and `not_compared`; `static_scans`, static data set to the mobile one.
+        evaluated, trained, viewed: (data set, model); registered, merged: (drive, registrar); localized: (data set, drive, labels, ...).
+        facts: of Table 1.2, by data set. realism: `simulated` data sets; names `compared`, `not_compared`; `static_scans`: mobile data set.
         config: the resolved configuration, printed in the report; its `run` and `seed` name it.
     """
-    files = zip(inputs["evaluations"], inputs["confusions"], evaluated, strict=True)
+    files = zip(inputs["evaluations"], inputs["confusions"], map(tuple, evaluated), strict=True)
     evaluations = [scores.read_evaluation(*paths, *pair, config["seed"]) for *paths, pair in files]
     histories = {tuple(pair): pd.read_csv(path) for pair, path in zip(trained, inputs["histories"], strict=True)}
     views = {tuple(pair): Path(folder) for pair, folder in zip(viewed, inputs["views"], strict=True)}
-    found = scores.collect_scores(evaluations, facts)
+    drives = registrations.read_registrations(inputs["registrations"], inputs["trajectories"], registered)
+    on_maps = localizations.read_localizations(inputs["localizations"], localized)
+    of_drives = registrations.registration_scores(drives, inputs["grids"]) + localizations.localization_scores(on_maps)
+    found = scores.collect_scores(evaluations, facts, of_drives)
     printed = tables.make_tables(found)
-    sheets, densities = (
-        scores.read_named(inputs[key], realism[names]) for key, names in (("realism", "compared"), ("densities", "static_scans"))
-    )
+    sheets = scores.read_named(inputs["realism"], realism["compared"])
+    densities = scores.read_named(inputs["densities"], realism["static_scans"])
     sections = report.draw_sections(outputs["figures"], found, evaluations, histories, views)
     sections += report.realism_sections(outputs["figures"], sheets, realism["not_compared"], densities, realism["static_scans"])
+    streets = dict(zip(map(tuple, merged), inputs["streets"], strict=True))
+    sections += registrations.draw_drives(outputs["figures"], drives, streets, inputs["frames"])
+    sections += localizations.draw_localizations(outputs["figures"], on_maps, inputs["localization_pictures"])
     labelled = list(dict.fromkeys([*map(tuple, evaluated), *views]))
-    html = report.render_report(
-        report.describe_run(config["run"], config["seed"], labelled),
-        found,
-        printed,
-        sections,
-        yaml.safe_dump(dict(config), sort_keys=False, allow_unicode=True),
-        unscored=labelled[len(evaluated) :],
-        simulated=realism["simulated"],
-    )
-    for folder in (outputs["tables"], outputs["figures"]):  # a run without truth has neither tables nor figures
-        Path(folder).mkdir(parents=True, exist_ok=True)
+    about = report.describe_run(config["run"], config["seed"], labelled, registered)
+    resolved, unscored = yaml.safe_dump(dict(config), sort_keys=False, allow_unicode=True), labelled[len(evaluated) :]
+    html = report.render_report(about, found, printed, sections, resolved, unscored, realism["simulated"])
+    Path(outputs["figures"]).mkdir(parents=True, exist_ok=True)  # a run without truth has no figures
     tables.write_tables(outputs["tables"], printed)
     scores.write_named(outputs["tables"], realism=sheets, density=densities)
     scores.write_scores(outputs["scores"], found)

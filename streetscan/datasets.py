@@ -19,7 +19,7 @@ class Part:
     """One part of a data set.
 
     Attributes:
-        files: relative to `data_root`, in the order of the map; none when the part is simulated.
+        files: relative to `data_root`, in the order of the map; none when the part is simulated or merged from a drive.
         n_tiles: number of groups the part is labelled in.
     """
 
@@ -52,7 +52,7 @@ class Dataset:
     Attributes:
         name: as in file names and results.
         title: as in tables.
-        source: `import` or `simulate`.
+        source: `import`, `simulate` or `merge` (a registered drive).
         truth: `none`, `labels` or `poses`.
         parts: part name (`train`, `validation`, `test`; or `all` for a scan without truth) to part.
         crs: what pyproj reads (`EPSG:7415`), or None for a local frame or the files' own.

@@ -25,7 +25,7 @@ def import_map(dataset: Dataset, files: Sequence[str | Path], map_path: str | Pa
 
     Args:
         dataset: the facts; its reader, class map and reference system are used.
-        files: the part's files, in the order of the map.
+        files: the part's files, in the order of the map; a folder stands for the LAZ tiles in it, in the order of their names.
         map_path: LAZ to write: the points and the fields the reader keeps, never a label.
         labels_path: `.npy` to write: (N,) uint8 labels in the map's order, 255 where unlabelled or without truth.
     Returns:
@@ -34,6 +34,7 @@ def import_map(dataset: Dataset, files: Sequence[str | Path], map_path: str | Pa
         BadInput: a file is damaged or not stored as the facts say, holds a class id the class map lacks, or its
             reference system is not the data set's, not that of the other files, or not in metres.
     """
+    files = [tile for path in map(Path, files) for tile in (sorted(path.glob("*.laz")) if path.is_dir() else [path])]
     if not files:
         raise BadInput(f"data set '{dataset.name}'", "the part has no files", "list them in the data set's file")
     counts = np.zeros(256, np.int64)

@@ -5,6 +5,7 @@ relies on hue alone (bars are labelled, lines have markers of their own).
 """
 
 import functools
+import itertools
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -461,3 +462,56 @@ def _draw_north(axes, width: int, height: int, north_rad: float) -> None:
     axes.text(*(centre - step * 0.95), "N", ha="center", va="center", fontsize=8, weight="bold", color=INK, bbox=box)
     axes.set_xlim(-0.5, width - 0.5)
     axes.set_ylim(height - 0.5, -0.5)
+
+
+@_styled
+def paths(tracks: dict[str, np.ndarray], true: dict[str, np.ndarray], failed: dict[str, np.ndarray]) -> Figure:
+    """Paths from above, and how far each is from the true one along the way. Ways are long and narrow: the axes have scales of their own.
+
+    Args:
+        tracks: title to positions (K, 2) in metres, NaN where unknown; they start with the true one.
+        true: title to the true positions (K, 2) of the same frames.
+        failed: title to (K,) bool, frames marked by a cross.
+    """
+    figure = _figure(4.2)
+    above, off = figure.subplots(2, 1, height_ratios=[3, 2])
+    longest = max(true.values(), key=len)
+    above.plot(longest[:, 0], longest[:, 1], color=INK, linestyle="--", linewidth=1.4, label="true", zorder=3)
+    colours = [OURS, PAPER, THIRD, FOURTH, ALARM, QUIET, "#56B4E9", "#F0E442"]
+    for (name, track), colour in zip(tracks.items(), itertools.cycle(colours), strict=False):
+        above.plot(track[:, 0], track[:, 1], color=colour, linewidth=1.2, label=name)
+        wrong = failed[name]
+        above.plot(track[wrong, 0], track[wrong, 1], "x", color=colour, markersize=5)
+        way_m = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(true[name], axis=0), axis=1))])
+        off.plot(way_m, np.linalg.norm(track - true[name], axis=1), color=colour, linewidth=1.2)
+    above.set_xlabel("ahead [m]")
+    above.set_ylabel("to the left [m]")
+    off.set_xlabel("way [m]")
+    off.set_ylabel("off the true path [m]")
+    off.set_ylim(bottom=0)
+    figure.legend(loc="outside upper left", ncols=3)
+    return figure
+
+
+@_styled
+def frame_errors(frames: Sequence[int], series: dict[str, np.ndarray], heading: str) -> Figure:
+    """Errors frame by frame on a logarithmic axis, a marker of its own for each method.
+
+    Args:
+        frames: numbers of the F frames.
+        series: title to (F,) errors, NaN where there is none.
+        heading: of the axis, with the unit.
+    """
+    figure = _figure(3.0)
+    axes = figure.subplots()
+    colours = [OURS, PAPER, THIRD, FOURTH, ALARM, QUIET]
+    for (name, values), colour, marker in zip(series.items(), itertools.cycle(colours), itertools.cycle("os^Dvx"), strict=False):
+        axes.plot(np.arange(len(frames)), values, color=colour, marker=marker, linewidth=1.0, label=name)
+    axes.set_yscale("log")
+    n_shown = min(len(frames), 13)
+    at = np.unique(np.linspace(0, max(len(frames) - 1, 0), n_shown).astype(int)) if frames else np.empty(0, int)
+    axes.set_xticks(at, [str(frames[i]) for i in at])
+    axes.set_xlabel("frame")
+    axes.set_ylabel(heading)
+    figure.legend(loc="outside upper left", ncols=3)
+    return figure

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import jinja2
 import pandas as pd
+from matplotlib.figure import Figure
 
 import streetscan
 from streetscan.benchmarks import figures as draw
@@ -23,9 +24,12 @@ from streetscan.benchmarks.tables import DASH, Table, format_number, own_heading
 from streetscan.classes import CLASSES
 from streetscan.errors import BadInput
 from streetscan.io.atomic import atomic_path
+from streetscan.io.images import png_to_webp
 from streetscan.simulation.layout import GENERATOR_VERSION
 from streetscan.simulation.realism_figures import draw_density_curves, draw_realism_sheet
 
+# A larger PNG is a view of a cloud or a photograph, not a drawing of lines.
+_LARGE_BYTES = 100_000
 # What evaluate_views writes into its folder, and how the report shows it.
 VIEW_KINDS = {"predicted": "Predicted", "true": "True", "errors": "Errors"}
 MEASURED_KINDS = {"intensity": "Intensity", "rgb": "Colour"}
@@ -78,12 +82,14 @@ class Section:
 
 
 def embed(path: str | Path, caption: str, is_narrow: bool = False) -> Picture:
-    """A picture file as a picture of the report. BadInput when there is no such file."""
+    """A picture file as a picture of the report; large PNGs as WebP, a fifth of the size. BadInput when there is no such file."""
     path = Path(path)
     if not path.is_file():
         raise BadInput(path, "no such picture", "run the step that draws it again")
-    kind = mimetypes.guess_type(path.name)[0]
-    return Picture(f"data:{kind};base64,{base64.b64encode(path.read_bytes()).decode()}", caption, is_narrow)
+    kind, content = mimetypes.guess_type(path.name)[0], path.read_bytes()
+    if kind == "image/png" and len(content) > _LARGE_BYTES:
+        kind, content = "image/webp", png_to_webp(content, path)
+    return Picture(f"data:{kind};base64,{base64.b64encode(content).decode()}", caption, is_narrow)
 
 
 def describe_machine() -> str:
@@ -101,17 +107,22 @@ def describe_machine() -> str:
     )
 
 
-def describe_run(run: str, seed: int, labelled: Sequence[tuple[str, str]]) -> dict[str, str]:
-    """What the head of the report says: run, version, seed, labelled maps and the machine."""
-    maps = dict.fromkeys(dataset for dataset, _ in labelled)
-    by = {d: ", ".join(title(m) for m in dict.fromkeys(m for e, m in labelled if e == d)) for d in maps}
+def describe_run(run: str, seed: int, labelled: Sequence[tuple[str, str]], registered: Sequence[tuple[str, str]] = ()) -> dict[str, str]:
+    """What the head of the report says: run, version, seed, labelled maps, registered drives and the machine."""
+    drives = {"Registered drives": "; ".join(f"{d} by {methods}" for d, methods in _methods_of(registered).items())} if registered else {}
     return {
         "Run": run,
         "Version": f"streetscan {streetscan.__version__}",
         "Seed": str(seed),
-        "Labelled maps": "; ".join(f"{d} by {methods}" for d, methods in by.items()) or "none",
+        "Labelled maps": "; ".join(f"{d} by {methods}" for d, methods in _methods_of(labelled).items()) or "none",
+        **drives,
         "Tables made on": describe_machine(),
     }
+
+
+def _methods_of(pairs: Sequence[tuple[str, str]]) -> dict[str, str]:
+    """Map or drive to the titles of its methods."""
+    return {d: ", ".join(title(m) for m in dict.fromkeys(m for e, m in pairs if e == d)) for d in dict.fromkeys(d for d, _ in pairs)}
 
 
 def glance(scores: pd.DataFrame) -> list[dict[str, str]]:
@@ -171,7 +182,7 @@ def shortfalls(scores: pd.DataFrame, unscored: Sequence[tuple[str, str]] = ()) -
         scores: the tidy scores.
         unscored: (data set, model) pairs that were labelled and have no truth.
     Returns:
-        F-rates below the paper's, classes without a voxel to score, maps without truth.
+        F-rates below the paper's, classes without a voxel to score, pairs of frames that failed, maps without truth.
     """
     lines = []
     ours = scores[(scores["method"] != "") & scores["table"].isin(list(_COMPARED)) & scores["column"].str.endswith(" f")]
@@ -190,6 +201,8 @@ def shortfalls(scores: pd.DataFrame, unscored: Sequence[tuple[str, str]] = ()) -
         missing = [title(r) for r, v in zip(part["row"], values, strict=True) if math.isnan(v)]
         if missing:
             lines.append(f"{who}: nothing to score for {', '.join(missing)}, since no voxel of the test part truly is one.")
+    pairs = scores[(scores["table"] == "registration") & (scores["column"] == "failed_pairs")]
+    lines += [f"{title(r['row'])}: {r['ours']:.0f} pairs of frames failed." for r in pairs.to_dict("records") if r["ours"] > 0]
     return lines + [f"{title(method)} on {dataset}: labelled, but without truth nothing can be scored." for dataset, method in unscored]
 
 
@@ -269,7 +282,7 @@ def realism_sections(
             text += f" Not compared, since the recordings are not under data_root: {', '.join(title(name) for name in absent)}."
         figure = draw_realism_sheet({title(name): table for name, table in tables.items()})
         caption = "Realism sheet; bars and whiskers are the median and the span from 5 to 95 %. All figures are in tables/realism.csv."
-        sections.append(Section("realism", "Realism of the simulated maps", text, [_save(figure, folder, "realism", caption)]))
+        sections.append(Section("realism", "Realism of the simulated maps", text, [save_picture(figure, folder, "realism", caption)]))
     for static, table in densities.items():
         mobile = static_scans[static]
         figure = draw_density_curves({title(name): table[table["scanner"] == s] for name, s in ((static, "static"), (mobile, "mobile"))})
@@ -279,7 +292,7 @@ def realism_sections(
             "even along the street. C²CNN reads the number of points in a voxel as evidence (of phantoms above all), so what it learned "
             "from mobile scans does not carry over to static ones, whose density says how far the tripod stood (thesis 2.3)."
         )
-        pictures = [_save(figure, folder, f"density_{static}", caption)]
+        pictures = [save_picture(figure, folder, f"density_{static}", caption)]
         sections.append(Section(f"density-{static}", "Static and mobile scanner", text, pictures))
     return sections
 
@@ -320,7 +333,8 @@ def yardsticks(scores: pd.DataFrame, simulated: Sequence[str]) -> list[dict[str,
     return lines
 
 
-def _save(figure, folder: Path, name: str, caption: str, is_narrow: bool = False) -> Picture:
+def save_picture(figure: Figure, folder: Path, name: str, caption: str, is_narrow: bool = False) -> Picture:
+    """A figure, written as SVG and PDF, as a picture of the report."""
     for suffix in (".pdf", ".svg"):
         draw.save_figure(figure, folder / f"{name}{suffix}")
     return embed(folder / f"{name}.svg", caption, is_narrow)
@@ -343,7 +357,7 @@ def _bars(folder: Path, scores: pd.DataFrame, dataset: str) -> list[Picture]:
         references[f"{title(split_column(column)[0])}, paper"] = [parse_number(p) for p in printed]
     figure = draw.score_bars([title(r) for r in rows], series | references, references=list(references))
     caption = f"F per class on {dataset}; hatched bars are the paper's, measured on its own data."
-    return [_save(figure, folder, f"f_{dataset}", caption)]
+    return [save_picture(figure, folder, f"f_{dataset}", caption)]
 
 
 def _part(folder: Path, dataset: str, method: str, evaluation: Evaluation | None, history: pd.DataFrame | None, views: Path | None) -> Part:
@@ -355,14 +369,14 @@ def _part(folder: Path, dataset: str, method: str, evaluation: Evaluation | None
         best = history.loc[history["validation_accuracy"].idxmax()]
         text.append(f"Trained for {len(history)} epochs; the weights of epoch {best['epoch']:.0f} were kept.")
         caption = f"Training of {who}: loss, accuracy (mean of the classes' recalls) and learning rate per epoch."
-        pictures.append(_save(draw.training_curve(history), folder, f"training_{dataset}_{method}", caption))
+        pictures.append(save_picture(draw.training_curve(history), folder, f"training_{dataset}_{method}", caption))
     else:
         text.append("Not trained on this map: its network came with the weights given.")
     if evaluation is not None:
         n = format_number(evaluation.confusion.sum())
         caption = f"Confusion of {who} over all {n} labelled voxels: per cent of the true class, and voxels."
         figure = draw.confusion_matrix(evaluation.confusion, [c.title for c in CLASSES])
-        pictures.append(_save(figure, folder, f"confusion_{dataset}_{method}", caption))
+        pictures.append(save_picture(figure, folder, f"confusion_{dataset}_{method}", caption))
     else:
         text.append("No truth, so no confusion matrix.")
     if views is not None:
@@ -408,7 +422,7 @@ def _parameter_section(folder: Path, scores: pd.DataFrame) -> list[Section]:
             series = {f"C²CNN on {dataset}": both["ours"].astype(float).tolist(), "C²CNN, paper": both["paper"].map(parse_number).tolist()}
             figure = draw.parameter_curve(both["at"].tolist(), series, parameter, references=["C²CNN, paper"], log_scale=is_log)
             caption = f"Overall F against the {parameter}; {len(group)} runs of ours, the paper's {table} dashed."
-            pictures.append(_save(figure, folder, f"{table}_{dataset}", caption))
+            pictures.append(save_picture(figure, folder, f"{table}_{dataset}", caption))
     return [Section("parameters", "Voxel and cube size", "", pictures)] if pictures else []
 
 

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from streetscan.benchmarks.published import find_published, load_published
+from streetscan.benchmarks.published import caption, find_published, load_published
 from streetscan.classes import N_CLASSES, NAMES, OBJECT_LABELS
 from streetscan.errors import BadInput
 from streetscan.io.atomic import atomic_path
@@ -174,21 +174,24 @@ def add_paper_rows(scores: pd.DataFrame) -> pd.DataFrame:
 
 
 def _paper_tables(scores: pd.DataFrame):
-    """((table, data set), its rows) for each published table; Table 1.2 is one table for all data sets."""
+    """((table, data set), its rows) for each published table; one whose rows are data sets or drives is one table for all."""
     known = set(load_published()["table"])
-    across = scores["table"] == "nagy_1_2"
+    across = scores["table"].map(lambda table: caption(table)["scope"] == "across").astype(bool)
     keys = scores["dataset"].where(~across, "")
     for (table, dataset), part in scores.groupby([scores["table"], keys], sort=False):
         if table in known:
             yield (table, dataset), part
 
 
-def collect_scores(evaluations: Sequence[Evaluation], facts: Mapping[str, Mapping[str, float | str | None]]) -> pd.DataFrame:
+def collect_scores(
+    evaluations: Sequence[Evaluation], facts: Mapping[str, Mapping[str, float | str | None]], more_rows: Sequence[dict] = ()
+) -> pd.DataFrame:
     """The tidy scores of a run.
 
     Args:
         evaluations: one per (data set, model, seed).
         facts: data set to its facts for Table 1.2.
+        more_rows: rows of `make_score` of other tables.
     Returns:
         the scores with the columns of `SCORE_COLUMNS`: Table 1.2; 2.4 for maps scored in groups of classes and 2.3 for all
         others; the rates over all voxels; the cleaning of the maps. Averaged over seeds, the papers' own figures at the end.
@@ -198,6 +201,7 @@ def collect_scores(evaluations: Sequence[Evaluation], facts: Mapping[str, Mappin
         rows += grouped_scores(evaluation) or label_scores(evaluation)
     for more in (natural_scores, cleaning_scores):
         rows += [row for evaluation in evaluations for row in more(evaluation)]
+    rows += more_rows
     return add_paper_rows(average_seeds(pd.DataFrame(rows, columns=list(SCORE_COLUMNS))))
 
 

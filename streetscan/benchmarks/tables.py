@@ -395,6 +395,7 @@ def make_tables(scores: pd.DataFrame) -> list[Table]:
 
 def write_tables(folder: str | Path, tables: list[Table]) -> None:
     """Write each table as `<name>.csv`, `<name>.md` and `<name>.tex` into a folder, which is made."""
+    Path(folder).mkdir(parents=True, exist_ok=True)
     for table in tables:
         for suffix, write in ((".csv", to_csv), (".md", to_markdown), (".tex", to_latex)):
             with atomic_path(Path(folder) / f"{table.name}{suffix}") as partial:

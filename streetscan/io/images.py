@@ -73,6 +73,14 @@ def encode_png(pixels: np.ndarray) -> bytes:
     return cv2.imencode(".png", pixels, [cv2.IMWRITE_PNG_COMPRESSION, 1])[1].tobytes()
 
 
+def png_to_webp(content: bytes, where: object) -> bytes:
+    """A PNG file's content as WebP of quality 80. BadInput when it is no PNG."""
+    pixels = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_COLOR) if content else None
+    if pixels is None:
+        raise BadInput(where, "cannot be decoded", "run the step that draws it again")
+    return cv2.imencode(".webp", pixels, [cv2.IMWRITE_WEBP_QUALITY, 80])[1].tobytes()
+
+
 def png_of_raw(data: np.ndarray, width: int, height: int, step: int, encoding: str, is_bigendian: bool, where: object) -> bytes:
     """A ROS image's raw pixels as PNG; Bayer patterns are turned into colours.
 

@@ -128,6 +128,15 @@ class DriveWriter:
         )
         self._write(TF, message, time_ns)
 
+    def write_cloud(self, topic: str, frame_id: str, points: np.ndarray, time_ns: int) -> None:
+        """Append a cloud that is no frame of the lidar, such as a map: points (N, 3) metres, float32, in a frame of that name."""
+        fields = [PackedElementField(name=name, offset=4 * i, type=_N.FLOAT32) for i, name in enumerate("xyz")]
+        data = np.ascontiguousarray(points, "<f4").tobytes()
+        stamp = _timestamp(time_ns)
+        self._write(
+            topic, PointCloud(timestamp=stamp, frame_id=frame_id, pose=_IDENTITY, point_stride=12, fields=fields, data=data), time_ns
+        )
+
     def write_metadata(self, name: str, values: dict[str, str]) -> None:
         """Add a named record of text values (shown by every MCAP tool)."""
         self._writer.add_metadata(name, {k: str(v) for k, v in values.items()})

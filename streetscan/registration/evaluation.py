@@ -86,15 +86,17 @@ def drift_per_distance(poses: np.ndarray, reference: np.ndarray, length_m: float
 def smooth_positions(times_s: np.ndarray, poses: np.ndarray, window_s: float = 1.0) -> np.ndarray:
     """Poses (K, 4, 4) with the jumps of satellite positions evened out: a parabola through each window; attitudes stay.
 
+    Poses with gaps (NaN) stay as they are.
+
     ASSUME: a vehicle's path over a second is a parabola; GNSS positions jump by centimetres between frames and would count as
     errors of the registration.
 
     Args:
         times_s: (K,) increasing, nearly even.
-        poses: (K, 4, 4) without NaN.
+        poses: (K, 4, 4).
         window_s: length of a window; 0 leaves the poses as they are.
     """
-    if len(poses) < 5 or window_s <= 0:
+    if len(poses) < 5 or window_s <= 0 or not np.isfinite(poses).all():
         return poses
     interval_s = float(np.median(np.diff(times_s)))
     n = min(2 * round(window_s / interval_s / 2) + 1, len(poses) - (1 - len(poses) % 2))
@@ -140,7 +142,6 @@ def evaluate_chain(
     reference: np.ndarray,
     duration_s: np.ndarray,
     is_planar: bool = False,
-    smoothing_s: float = 0.0,
     drift_length_m: float = 50.0,
     max_distance_m: float = 0.5,
     max_angle_deg: float = 2.0,
@@ -152,7 +153,6 @@ def evaluate_chain(
         reference: (K, 4, 4) true poses of the same frames, NaN where unknown.
         duration_s: (K,) seconds each frame took.
         is_planar: the reference's heights are no truth.
-        smoothing_s: window of `smooth_positions` for the reference; 0 for none.
         drift_length_m: see `drift_per_distance`.
         max_distance_m, max_angle_deg: see `find_failed_pairs`.
     Returns:
@@ -162,13 +162,9 @@ def evaluate_chain(
     """
     if not len(poses) == len(reference) == len(duration_s):
         raise BadInput("the reference", f"{len(reference)} poses for {len(poses)} frames", "give the truth of the same drive")
-    known = np.isfinite(reference).all(axis=(1, 2))
-    if known.all() and smoothing_s > 0:
-        reference = smooth_positions(np.array([p.time_s for p in poses]), reference, smoothing_s)
     failed = find_failed_pairs(poses, reference, is_planar, max_distance_m, np.radians(max_angle_deg))
     segments = np.array([p.segment if p.is_posed else -1 for p in poses])
-    longest = np.bincount(segments[segments >= 0]).argmax() if (segments >= 0).any() else -1
-    T = np.array([p.T_segment_lidar if p.segment == longest else np.full((4, 4), np.nan) for p in poses]).reshape(-1, 4, 4)
+    T = _longest_segment(poses)
     distance, angle = (e[np.isfinite(e)] for e in relative_errors(T, reference, is_planar=is_planar))
     drift = drift_per_distance(T, reference, drift_length_m, is_planar)
     try:
@@ -181,7 +177,9 @@ def evaluate_chain(
     rows = [
         ("failed_pairs", int(failed.sum()), "pairs", n_pairs),
         ("failed_share", 100 * failed.mean() if n_pairs else np.nan, "%", n_pairs),
-        ("n_segments", int(segments.max()) + 1, "segments", len(poses)),
+        ("n_frames", len(poses), "frames", len(poses)),
+        ("n_registered", int((segments >= 0).sum()), "frames", len(poses)),
+        ("n_segments", int(segments.max(initial=-1)) + 1, "segments", len(poses)),
         ("pair_time_median", _of(np.median, ms), "ms", len(ms)),
         ("pair_time_p95", _of(lambda v: np.percentile(v, 95), ms), "ms", len(ms)),
         ("frame_rate", 1000 / _of(np.mean, ms), "fps", len(ms)),
@@ -192,9 +190,45 @@ def evaluate_chain(
         ("rpe_rotation_max", np.degrees(_of(np.max, angle)), "deg", len(angle)),
         ("ape_rmse", _of(_rmse, ape), "m", len(ape)),
         ("ape_max", _of(np.max, ape), "m", len(ape)),
-        (f"drift_{drift_length_m:g}m", 100 * _of(np.mean, drift), "%", len(drift)),
+        ("drift", 100 * _of(np.mean, drift), "%", len(drift)),
     ]
     return pd.DataFrame(rows, columns=COLUMNS)
+
+
+def _longest_segment(poses: Sequence[FramePose]) -> np.ndarray:
+    """(K, 4, 4) poses of the segment with most frames, NaN elsewhere."""
+    segments = [p.segment for p in poses if p.is_posed]
+    longest = np.bincount(segments).argmax() if segments else -1
+    return np.array([p.T_segment_lidar if p.segment == longest else np.full((4, 4), np.nan) for p in poses]).reshape(-1, 4, 4)
+
+
+def align_trajectory(poses: Sequence[FramePose], reference: np.ndarray, failed: np.ndarray, is_planar: bool = False) -> pd.DataFrame:
+    """Positions of a chain beside the true ones, both in the frame of the first true pose, for a figure.
+
+    Args:
+        poses: (K) rows of the chain; positions of the longest segment are given.
+        reference: (K, 4, 4), NaN where unknown.
+        failed: (K - 1,) of `find_failed_pairs`.
+        is_planar: the reference's heights are no truth.
+    Returns:
+        one row per frame: `frame`, `time_s`, `status`, `is_failed` (the pair that ends there), `x_m`, `y_m`, `z_m` and `true_x_m`,
+        `true_y_m`, `true_z_m`; NaN where unknown. Chains start where the truth does, in its direction: what they drift shows.
+    """
+    T = _longest_segment(poses)
+    both = np.flatnonzero(np.isfinite(T).all(axis=(1, 2)) & np.isfinite(reference).all(axis=(1, 2)))
+    if len(both):
+        T = invert(T[both[0]]) @ T
+        reference = invert(reference[both[0]]) @ reference
+    columns = {
+        "frame": [p.index for p in poses],
+        "time_s": [p.time_s for p in poses],
+        "status": [p.status for p in poses],
+        "is_failed": np.concatenate([[False], failed])[: len(poses)].astype(int),
+    }
+    for prefix, chain in (("", T), ("true_", reference)):
+        for axis, name in enumerate("xyz"):
+            columns[f"{prefix}{name}_m"] = np.full(len(poses), np.nan) if prefix and is_planar and name == "z" else chain[:, axis, 3]
+    return pd.DataFrame(columns)
 
 
 def _of(statistic, values: np.ndarray) -> float:

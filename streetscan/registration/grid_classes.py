@@ -23,7 +23,6 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
-import open3d as o3d
 from numba import njit
 
 from streetscan.errors import BadInput
@@ -124,7 +123,7 @@ def classify_points(points: np.ndarray, sensor_height_m: float, settings: GridSe
     floor_z = -sensor_height_m - settings.max_depth_m
     cell_of_point, counts, z_min, z_max, z_sum = _collect(points, half_m, settings.cell_m, n_side, floor_z)
     n_patch = max(round(_PATCH_M / settings.cell_m), 1)
-    rise = _follow_ground(counts, z_min, n_side, n_patch, settings.min_points, settings.max_slope, settings.cell_m, -sensor_height_m)
+    rise = follow_ground(counts, z_min, n_side, n_patch, settings.min_points, settings.max_slope, settings.cell_m, -sensor_height_m)
     cell_labels = _classify(
         counts,
         z_min,
@@ -178,7 +177,7 @@ def _collect(points, half_m, cell_m, n_side, floor_z):
 
 
 @njit(cache=True, nogil=True)
-def _follow_ground(counts, z_min, n_side, n_patch, min_points, max_slope, cell_m, road_z):
+def follow_ground(counts, z_min, n_side, n_patch, min_points, max_slope, cell_m, road_z):
     """Height of the ground over the road plane per patch, walked outwards from the vehicle ring by ring."""
     n = (n_side + n_patch - 1) // n_patch
     rise = np.zeros((n, n))
@@ -386,6 +385,8 @@ def find_outliers(points: np.ndarray, n_neighbours: int = 20, deviation_ratio: f
 
 def estimate_normals(points: np.ndarray, n_neighbours: int = 20) -> np.ndarray:
     """(N, 3) float32 unit normals, towards the sensor, from the nearest neighbours (option -n, J-32); no NaN among the points."""
+    import open3d as o3d
+
     cloud = _open3d_cloud(points)
     if len(points):
         cloud.estimate_normals(o3d.geometry.KDTreeSearchParamKNN(n_neighbours))
@@ -393,5 +394,8 @@ def estimate_normals(points: np.ndarray, n_neighbours: int = 20) -> np.ndarray:
     return np.asarray(cloud.normals, np.float32).reshape(-1, 3)
 
 
-def _open3d_cloud(points: np.ndarray) -> o3d.geometry.PointCloud:
+def _open3d_cloud(points: np.ndarray):
+    # Seconds to load, for options only.
+    import open3d as o3d
+
     return o3d.geometry.PointCloud(o3d.utility.Vector3dVector(np.asarray(points, np.float64).reshape(-1, 3)))

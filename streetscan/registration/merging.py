@@ -27,12 +27,13 @@ from streetscan.geometry import apply
 from streetscan.io.arrays import load_npz, save_npz
 from streetscan.io.atomic import atomic_folder, atomic_path
 from streetscan.io.las import iterate_las, open_las_writer
-from streetscan.registration.grid_classes import GROUND, NAMES, SHORT_OBJECT, TALL_STRUCTURE, classes_of_names
+from streetscan.registration.grid_classes import GROUND, NAMES, SHORT_OBJECT, TALL_STRUCTURE, classes_of_names, estimate_normals
 from streetscan.registration.odometry import FramePose
 from streetscan.sweeps import deskew
 from streetscan.voxels import find_sorted, pack_keys, unpack_keys
 
 MOVING_CHOICES = ("keep", "leave_out")
+_NORMALS = ("normal_x", "normal_y", "normal_z")
 
 
 @dataclass(frozen=True)
@@ -51,6 +52,7 @@ class MergeSettings:
         min_free_frames: what stood in a place that fewer frames looked through is standing.
         free_share: ... and it moved when at least this share of the frames that saw the place looked through it.
         segment: which segment of the chain; null takes the longest.
+        normal_neighbours: neighbours in its frame from which a point's normal is estimated; 0 writes none.
     """
 
     tile_m: float = 50.0
@@ -64,6 +66,7 @@ class MergeSettings:
     min_free_frames: int = 3
     free_share: float = 0.4
     segment: int | None = None
+    normal_neighbours: int = 0
 
     def __post_init__(self):
         if self.moving not in MOVING_CHOICES:
@@ -137,8 +140,8 @@ def merge_frames(
     Args:
         read_frames: the frames with numbers in [first, last), in order; called once per group.
         poses: from `choose_segment`.
-        folder: gets `<x>_<y>.laz`, named by the tile's corner in tiles: points, time_s, intensity, grid_class, frame, is_moving. It
-            appears when all of them are written.
+        folder: gets `<x>_<y>.laz`, named by the tile's corner in tiles: points, time_s, intensity, grid_class, frame, is_moving, and
+            normal_x, normal_y, normal_z where they are wanted. It appears when all of them are written.
         work_folder: keeps the finished groups of a run that was stopped; deleted at the end.
         settings: see MergeSettings.
         T_map_segment: (4, 4) places the segment in a map; identity: the map is the frame of the segment's first frame.
@@ -204,7 +207,7 @@ def _spool_group(frames, poses, folder, s, T_map_segment):
                 continue
             n_frames += 1
             frame = _trim_frame(frame, s)
-            cloud = _cloud_of_frame(frame, pose, T_map_segment)
+            cloud = _cloud_of_frame(frame, pose, T_map_segment, s.normal_neighbours)
             # ASSUME: a tree's crown over the road hides nothing below the sensor's height less 0.5 m, a tram does.
             is_low = np.asarray(frame.points)[:, 2] < -0.5
             is_obstacle = (frame.labels == SHORT_OBJECT) | ((frame.labels == TALL_STRUCTURE) & is_low)
@@ -248,7 +251,7 @@ def look_through(frame: MergeFrame, height_m: float = 0.7) -> MergeFrame:
     return frame
 
 
-def _cloud_of_frame(frame: MergeFrame, pose: FramePose, T_map_segment: np.ndarray) -> PointCloud:
+def _cloud_of_frame(frame: MergeFrame, pose: FramePose, T_map_segment: np.ndarray, normal_neighbours: int) -> PointCloud:
     n, offsets = len(frame.points), frame.time_offset_s
     intensity = np.zeros(n) if frame.intensity is None else np.clip(np.nan_to_num(frame.intensity), 0, 1)
     fields = {
@@ -257,6 +260,9 @@ def _cloud_of_frame(frame: MergeFrame, pose: FramePose, T_map_segment: np.ndarra
         "grid_class": frame.labels.astype(np.uint8),
         "frame": np.full(n, frame.index, np.uint32),
     }
+    if normal_neighbours:
+        normals = estimate_normals(frame.points, normal_neighbours) @ (T_map_segment @ pose.T_segment_lidar)[:3, :3].T
+        fields |= dict(zip(_NORMALS, normals.T.astype(np.float32), strict=True))
     return PointCloud(place_points(frame, pose, T_map_segment), fields)
 
 
@@ -328,7 +334,7 @@ def _join_tile(paths: list[Path], target: Path, raster: SightRaster, s: MergeSet
                 continue
             for cloud in iterate_las(path):
                 n_read += len(cloud)
-                fields = {k: cloud.fields[k] for k in ("intensity", "time_s", "grid_class", "frame")}
+                fields = {k: cloud.fields[k] for k in ("intensity", "time_s", "grid_class", "frame", *_NORMALS) if k in cloud.fields}
                 is_object = (fields["grid_class"] == SHORT_OBJECT) | (fields["grid_class"] == TALL_STRUCTURE)
                 fields["is_moving"] = np.zeros(len(cloud), np.uint8)
                 fields["is_moving"][is_object] = raster.is_left(cloud.points[is_object], s.min_free_frames, s.free_share)

@@ -241,23 +241,25 @@ def thin_points(points: np.ndarray, size_m: float) -> np.ndarray:
     return _thin(points, size_m, np.full(n_table, _EMPTY), np.zeros(n_table, np.int32))
 
 
-def fit(fields: list[NdtField], points: np.ndarray, T_target_source: np.ndarray, settings: NdtSettings) -> Fit:
+def fit(fields: list[NdtField], points: np.ndarray, T_target_source: np.ndarray, settings: NdtSettings, thin_m: float = 0.0) -> Fit:
     """Pose of the source in the target by Newton's method, from the coarsest to the finest field.
 
     Args:
         fields: the target (`build_fields`, or fields that grew).
-        points: (M, 3) float64 source points, metres, source frame; best thinned to even density.
+        points: (M, 3) float64 source points, metres, source frame.
         T_target_source: (4, 4) float64 prediction.
         settings: see NdtSettings.
+        thin_m: the points are averaged in cubes of this edge for the finest field, and in cubes as many times larger for each
+            coarser one as its cubes are larger; 0 takes them as they are.
     Returns:
         the fit; with no source point or no Gaussian its overlap is 0 and its pose the prediction.
     Source: Magnusson (2009), 6.2 and algorithm 2.
     """
-    points = np.ascontiguousarray(points, np.float64)
     rotation, translation = T_target_source[:3, :3].copy(), T_target_source[:3, 3].copy()
     n_steps, is_converged, hessian, score, overlap = 0, False, np.zeros((6, 6)), 0.0, 0.0
     for field in fields:
-        rotation, translation, score, overlap, hessian, n, is_converged = _search(field, points, rotation, translation, settings)
+        thinned = thin_points(points, thin_m * field.size_m / fields[-1].size_m)
+        rotation, translation, score, overlap, hessian, n, is_converged = _search(field, thinned, rotation, translation, settings)
         n_steps += n
     T = np.eye(4)
     T[:3, :3], T[:3, 3] = rotation, translation

@@ -10,9 +10,10 @@ import small_gicp
 
 from streetscan.errors import BadInput
 from streetscan.geometry import apply
-from streetscan.registration.ndt import Fit, NdtSettings, build_fields, fit, thin_points
+from streetscan.registration.ndt import Fit, NdtSettings, build_fields, fit
+from streetscan.registration.object_target import ObjectTarget
 
-METHODS = ("ndt", "gicp", "vgicp")
+METHODS = ("ndt", "objects", "gicp", "vgicp")
 _GICP_ITERATIONS = 50
 
 
@@ -58,7 +59,7 @@ class NdtTarget:
         self.is_empty = self.is_empty and len(points) == 0
 
     def fit(self, points: np.ndarray, T_target_source: np.ndarray) -> Fit:
-        return fit(self._fields, thin_points(points, self._thin_m), T_target_source, self._settings)
+        return fit(self._fields, points, T_target_source, self._settings, self._thin_m)
 
     def drop_beyond(self, centre: np.ndarray, distance_m: float) -> None:
         for field in self._fields:
@@ -146,9 +147,9 @@ def make_target(
     """A target of one of METHODS.
 
     Args:
-        method: `ndt`, `gicp` or `vgicp`.
+        method: `ndt`, `objects` (then NDT), `gicp` or `vgicp`.
         ndt: settings of the NDT.
-        thin_m: source points (GICP: target points too) are averaged in cubes of this edge.
+        thin_m: source points (GICP: target points too) are averaged in cubes of this edge; see `streetscan.registration.ndt.fit`.
         voxel_m: voxel of VGICP.
         max_distance_m: farthest correspondence of GICP and VGICP.
         n_threads: threads of small_gicp.
@@ -157,6 +158,8 @@ def make_target(
     """
     if method == "ndt":
         return NdtTarget(ndt, thin_m)
+    if method == "objects":
+        return ObjectTarget(ndt, thin_m)
     if method in METHODS:
         return GicpTarget(method, thin_m, voxel_m, max_distance_m, n_threads)
     raise BadInput("register_frames.method", f"'{method}'", f"choose one of {', '.join(METHODS)}")

@@ -7,9 +7,18 @@ import pytest
 from scripts import tabulate_benchmarks
 from streetscan.benchmarks.scores import read_scores
 from streetscan.errors import BadInput
+from streetscan.geometry import transform
+from streetscan.localization.evaluation import COLUMNS as LOCALIZATION_COLUMNS
+from streetscan.registration.evaluation import align_trajectory, evaluate_chain, find_failed_pairs
+from streetscan.registration.grid_evaluation import score_grid
+from streetscan.registration.odometry import FramePose
 from streetscan.segmentation.metrics import evaluate_labels
 
 CONFIG = {"run": "try", "seed": 1, "labelled_maps": ["city/c2cnn"]}
+TABLES = {"nagy_1_2", "nagy_2_3", "nagy_2_4", "nagy_2_3_natural", "map_cleaning", "jozsa_1", "jozsa_2", "registration", "grid_classes"}
+TABLES |= {"nagy_3_1", "localization"}
+REGISTERED = [("my_drive", "ndt_tall"), ("my_drive", "ndt_raw"), ("my_drive", "kiss_icp")]
+LOCALIZED = [("city", "my_drive", m, n, "main_road") for m, n in (("raw", "voting_8"), ("c2cnn", "voting_8"), ("c2cnn", "crossmodal"))]
 EVALUATED = [("city", "c2cnn"), ("oakland", "c2cnn_from_city")]
 REALISM = {"simulated": ["city"], "compared": ["city", "oakland"], "not_compared": ["amsterdam"], "static_scans": {"city_tls": "city"}}
 FACTS = {"city": {"year": 2026, "n_classes": 9}, "oakland": {"sensor": "SICK LMS (MLS)", "n_points": None}}
@@ -18,7 +27,18 @@ FACTS = {"city": {"year": 2026, "n_classes": 9}, "oakland": {"sensor": "SICK LMS
 @pytest.fixture
 def inputs(tmp_path):
     rng = np.random.default_rng(0)
-    paths = {"evaluations": [], "confusions": [], "histories": [], "views": []}
+    paths = {
+        "evaluations": [],
+        "confusions": [],
+        "histories": [],
+        "views": [],
+        "registrations": [],
+        "trajectories": [],
+        "streets": [],
+        "frames": [],
+        "localizations": [],
+        "localization_pictures": [],
+    }
     for dataset, _ in EVALUATED:
         true = rng.integers(0, 9, 3000).astype(np.uint8)
         predicted = np.where(rng.random(3000) < 0.9, true, 0).astype(np.uint8)
@@ -33,11 +53,52 @@ def inputs(tmp_path):
     views = tmp_path / "views"
     views.mkdir()
     (views / "predicted_top.png").write_bytes(b"\x89PNG")
+    for _, registrar in REGISTERED:
+        for kind, table in zip(("registrations", "trajectories"), chain(0.4 if registrar == "ndt_raw" else 0.02), strict=True):
+            path = tmp_path / f"{registrar}_{kind}.csv"
+            table.to_csv(path, index=False)
+            paths[kind].append(str(path))
+    for _, drive, labels, localizer, _ in LOCALIZED:
+        path = tmp_path / f"{drive}_{labels}_{localizer}.csv"
+        localized(0.8 if labels == "raw" else 0.2).to_csv(path, index=False)
+        paths["localizations"].append(str(path))
+        (tmp_path / localizer).mkdir(exist_ok=True)
+        (tmp_path / localizer / "before.png").write_bytes(b"\x89PNG")
+        paths["localization_pictures"].append(str(tmp_path / localizer))
+    frames = tmp_path / "my_drive" / "pictures"
+    frames.mkdir(parents=True)
+    for name in ("classes_000000.png", "density_000000.png"):
+        (frames / name).write_bytes(b"\x89PNG")
+    (tmp_path / "street.png").write_bytes(b"\x89PNG")
+    grid = tmp_path / "my_drive" / "scores.csv"
+    score_grid(np.diag([0, 9, 5, 8])).to_csv(grid, index=False)
+    paths |= {"grids": [str(grid)], "streets": [str(tmp_path / "street.png")], "frames": [str(frames)]}
     statistics = pd.DataFrame({"statistic": "density_per_m2", "group": "ground", "x": [0.0, 2.0], "value": [900.0, 300.0], "n": 5})
     statistics.to_csv(tmp_path / "realism.csv", index=False)
     pd.concat([statistics.assign(scanner=s) for s in ("static", "mobile")]).to_csv(tmp_path / "density.csv", index=False)
     paths |= {"realism": [str(tmp_path / "realism.csv")] * 2, "densities": [str(tmp_path / "density.csv")]}
     return paths | {"histories": [str(tmp_path / "history.csv")], "views": [str(views)]}
+
+
+def chain(step_error_m):
+    """What evaluate_registration writes of twenty frames, each some way too far."""
+    truth = np.tile(np.eye(4), (20, 1, 1))
+    truth[:, 0, 3] = np.arange(20)
+    poses = [FramePose(i, 0.1 * i, "ok" if i else "start", 0, transform([(1 + step_error_m) * i, 0, 0])) for i in range(20)]
+    failed = find_failed_pairs(poses, truth, max_distance_m=0.3)
+    return evaluate_chain(poses, truth, np.full(20, step_error_m)), align_trajectory(poses, truth, failed)
+
+
+def localized(error_m):
+    """What evaluate_localization writes of ten frames: one wrong and believed, one not believed."""
+    n = 10
+    table = pd.DataFrame({name: np.full(n, 0.1) for name in LOCALIZATION_COLUMNS})
+    table["frame"], table["source"], table["n_objects"], table["n_good"] = range(n), "objects", 20, 5
+    table["status"] = ["ok"] * 9 + ["ambiguous"]
+    table["vote_m"] = [error_m] * 9 + [50.0]
+    table["found_m"] = [3.0] + [0.05] * 9
+    table["phantom_share"] = [0.01] * 5 + [0.1] * 5
+    return table
 
 
 def run(inputs, folder):
@@ -51,6 +112,9 @@ def run(inputs, folder):
         evaluated=EVALUATED,
         trained=[("city", "c2cnn")],
         viewed=[["my_street", "c2cnn_shipped"]],
+        registered=REGISTERED,
+        merged=REGISTERED[:1],
+        localized=LOCALIZED,
         facts=FACTS,
         realism=REALISM,
         config=CONFIG,
@@ -60,7 +124,7 @@ def run(inputs, folder):
 def test_all_outputs(inputs, tmp_path):
     run(inputs, tmp_path / "out")
     scores = read_scores(tmp_path / "out" / "scores.csv")
-    assert set(scores["table"]) == {"nagy_1_2", "nagy_2_3", "nagy_2_4", "nagy_2_3_natural", "map_cleaning"}
+    assert set(scores["table"]) == TABLES
     pole = scores[(scores["table"] == "nagy_2_4") & (scores["row"] == "pole_like") & (scores["method"] == "c2cnn_from_city")].iloc[0]
     assert pole["paper"] == "73.3"
     assert 80 < pole["ours"] < 100
@@ -69,7 +133,7 @@ def test_all_outputs(inputs, tmp_path):
             assert (tmp_path / "out" / "tables" / f"{name}.{suffix}").stat().st_size > 0
     assert (tmp_path / "out" / "figures" / "confusion_oakland_c2cnn_from_city.svg").is_file()
     html = (tmp_path / "out" / "report.html").read_text()
-    for text in ("streetscan: run try", "Map my_street", "without truth nothing can be scored", "labelled_maps:"):
+    for text in ("streetscan: run try", "Map my_street", "without truth nothing can be scored", "labelled_maps:", "Drive My drive"):
         assert text in html
     # The simulated maps beside real ones, what is missing for it, and the yardsticks.
     for text in ("Realism of the simulated maps", "Not compared", "Amsterdam", "Static and mobile scanner", "not in this run"):
@@ -77,6 +141,41 @@ def test_all_outputs(inputs, tmp_path):
     realism = pd.read_csv(tmp_path / "out" / "tables" / "realism.csv")
     assert realism["map"].tolist() == ["city", "city", "oakland", "oakland"]
     assert set(pd.read_csv(tmp_path / "out" / "tables" / "density.csv")["scanner"]) == {"static", "mobile"}
+
+
+def test_registered_drives(inputs, tmp_path):
+    run(inputs, tmp_path / "out")
+    scores = read_scores(tmp_path / "out" / "scores.csv")
+    pairs = scores[(scores["table"] == "jozsa_1") & (scores["row"] == "my_drive")].set_index("column")
+    assert pairs.loc["presegmented time", "ours"] == pytest.approx(0.02)
+    assert pairs.loc["ratio", "ours"] == pytest.approx(20)
+    assert pairs.loc["presegmented time", "n"] == 19
+    paper = scores[(scores["table"] == "jozsa_1") & (scores["row"] == "bartok_bela_3") & (scores["column"] == "raw time")].iloc[0]
+    assert (paper["paper"], paper["method"]) == ("4.0099*", "")
+    outcome = scores[(scores["table"] == "jozsa_2") & (scores["row"] == "my_drive")].set_index("column")["ours"]
+    assert outcome["n_scans"] == outcome["presegmented n_registered"] == 20
+    peers = scores[scores["table"] == "registration"]
+    assert set(peers["row"]) == {f"my_drive/{registrar}" for _, registrar in REGISTERED}
+    for name in ("jozsa_1", "jozsa_2", "registration"):
+        assert "My drive" in (tmp_path / "out" / "tables" / f"{name}.md").read_text()
+    assert (tmp_path / "out" / "figures" / "paths_my_drive.svg").is_file()
+
+
+def test_localized_drives(inputs, tmp_path):
+    run(inputs, tmp_path / "out")
+    scores = read_scores(tmp_path / "out" / "scores.csv")
+    table = scores[(scores["table"] == "nagy_3_1") & (scores["dataset"] == "city")].set_index(["row", "column"])
+    # One of ten frames is not believed and does not enter the mean.
+    assert table.loc[("main_roads", "raw translation_error"), "ours"] == pytest.approx(0.8)
+    assert table.loc[("main_roads", "c2cnn translation_error"), ["ours", "n", "paper"]].tolist() == [pytest.approx(0.2), 9, "0.37"]
+    assert table.loc[("many_phantoms", "c2cnn rotation_error"), "n"] == 4
+    assert table.loc[("narrow_roads", "c2cnn translation_error"), "method"] == ""
+    rates = scores[scores["table"] == "localization"].set_index(["row", "column"])["ours"]
+    assert rates[("my_drive/c2cnn/voting_8", "success")] == 90
+    assert rates[("my_drive/c2cnn/voting_8", "ok")] == 90
+    assert rates[("my_drive/c2cnn/voting_8", "n_wrong_but_ok")] == 1
+    for name in ("nagy_fig_3_8_my_drive.svg", "localized_my_drive.svg"):
+        assert (tmp_path / "out" / "figures" / name).is_file()
 
 
 def test_the_same_inputs_give_the_same_files(inputs, tmp_path):

@@ -27,8 +27,8 @@ def inputs(tiny_world, tiny_map, tmp_path):
     labels = vote_labels(grid, [(tiny_world.cloud.points, tiny_world.labels)])
     parts = {}
     for name, seed in (("training", 1), ("validation", 2)):
-        rows, sample_labels, turns = draw_samples(labels, 80, 1, np.random.default_rng(seed))
-        save_npz(tmp_path / f"{name}.npz", keys=grid.keys[rows], labels=sample_labels, turns=turns)
+        rows, sample_labels = draw_samples(labels, 80, np.random.default_rng(seed))
+        save_npz(tmp_path / f"{name}.npz", keys=grid.keys[rows], labels=sample_labels)
         parts[name] = [tmp_path / "voxels.npz", tmp_path / f"{name}.npz"]
     return parts | {"map_path": tiny_map, "labels": labels}
 
@@ -92,9 +92,9 @@ def test_trees_of_other_settings_and_damaged_ones_are_refused(inputs, tmp_path):
 
 
 def test_a_class_the_part_lacks_is_no_obstacle(inputs, tmp_path):
-    keys, labels, turns = (np.load(inputs["training"][1])[name] for name in ("keys", "labels", "turns"))
+    keys, labels = (np.load(inputs["training"][1])[name] for name in ("keys", "labels"))
     kept = labels != NAMES.index("phantom")
-    save_npz(tmp_path / "fewer.npz", keys=keys[kept], labels=labels[kept], turns=turns[kept])
+    save_npz(tmp_path / "fewer.npz", keys=keys[kept], labels=labels[kept])
     outputs = train(inputs | {"training": [inputs["training"][0], tmp_path / "fewer.npz"]}, tmp_path / "trees")
     paths = label(inputs, outputs[:2], tmp_path / "out", "0of1")
     predicted, _ = read_label_tiles([paths[1]], len(inputs["labels"]))

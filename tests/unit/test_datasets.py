@@ -135,6 +135,24 @@ def test_missing_keys_are_named(tmp_path, keys, message):
     assert message in str(error.value)
 
 
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"merge": None}, "'merge' is missing"),
+        ({"reader": None}, "'reader' is missing"),
+        ({"truth": "labels"}, "truth"),
+        ({"merge": {"drive": "kitti_0001"}}, "merge.registrar"),
+        ({"parts": {"test": {"n_tiles": 1}}}, "parts"),
+    ],
+)
+def test_a_merged_drive_is_a_map_without_truth(tmp_path, change, message):
+    facts = yaml.safe_load((CONFIG / "datasets" / "kitti_0001_street.yaml").read_text())
+    assert load(tmp_path, facts, "kitti_0001_street").source == "merge"
+    changed = {key: value for key, value in (facts | change).items() if value is not None}
+    with pytest.raises(BadInput, match=message):
+        load(tmp_path, changed, "kitti_0001_street")
+
+
 def test_what_is_no_facts_at_all(tmp_path):
     with pytest.raises(BadInput, match=r"no\.yaml: no such file"):
         load_dataset(tmp_path / "no.yaml", SCHEMA)

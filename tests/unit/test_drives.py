@@ -12,6 +12,7 @@ from mcap.reader import make_reader
 from toy_recordings import ROOT, SCHEMA, START_NS, Messages, kitti_facts, png, revolution, ros_store, write_bag, write_facts, write_kitti
 
 from streetscan import geometry
+from streetscan.datasets import load_dataset
 from streetscan.drives import FRAME_COLUMNS, Recording, import_drive, read_drive_facts
 from streetscan.errors import BadInput
 from streetscan.frames import STATUSES, CameraImage, CameraModel, LidarFrame
@@ -19,6 +20,7 @@ from streetscan.inspection import inspect_drive, project_points
 from streetscan.io.mcap import iterate_drive, iterate_lidar, open_drive_writer
 from streetscan.io.pcd_sequence import write_pcd_frame
 from streetscan.io.trajectories import read_poses_csv
+from streetscan.simulation.drives import read_simulation
 
 
 def run(tmp_path, facts):
@@ -593,3 +595,17 @@ def test_a_folder_nobody_may_read(tmp_path, kitti, monkeypatch):
     monkeypatch.setattr("streetscan.io.files.os.access", lambda *_: False)
     with pytest.raises(BadInput, match="drive: must not be read by you"):
         run(tmp_path, kitti_facts())
+
+
+def test_every_simulated_drive_has_a_street_and_settings_that_are_known():
+    n = 0
+    for path in (ROOT / "config" / "drives").glob("*.yaml"):
+        facts = read_drive_facts(path, SCHEMA)
+        if facts.reader == "simulate":
+            drive = read_simulation(facts.simulation)
+            dataset = load_dataset(ROOT / "config" / "datasets" / f"{drive.dataset}.yaml")
+            assert dataset.source == "simulate", path
+            assert drive.split in dataset.parts, path
+            assert facts.crs == dataset.crs, path
+            n += 1
+    assert n >= 10

@@ -25,6 +25,7 @@ from streetscan.registration.grid_classes import (
     find_outliers,
     segment_frame,
 )
+from streetscan.registration.grid_evaluation import count_confusion, find_mapping, score_grid
 
 FLAT = GridSettings(max_slope=0.0)
 
@@ -178,24 +179,27 @@ def test_order_of_points_does_not_matter(points, random):
     assert (classify_points(points[order], 1.8).labels == labels[order]).all()
 
 
-# SemanticKITTI ids to the four classes. Fences, vegetation and other objects have any height: they only must not be ground.
-GROUND_IDS = (40, 44, 48, 49, 60, 72)
-TALL_IDS = (50, 52, 71, 80, 81)
-SHORT_IDS = (10, 11, 13, 15, 16, 18, 20, 30, 31, 32, *range(252, 260))
+def test_precision_and_recall_by_hand():
+    found = np.array([GROUND, GROUND, TALL_STRUCTURE, SPARSE, SHORT_OBJECT, GROUND], np.uint8)
+    ids = np.array([40, 48, 40, 40, 10, 70])  # the last one is vegetation and counts nowhere
+    table = score_grid(count_confusion([(found, ids)], find_mapping("semantickitti"))).set_index(["class", "metric"])["value"]
+    assert table["ground", "precision"] == 100
+    assert table["ground", "recall"] == 50
+    assert table["short_object", "recall"] == 100
+    assert table["tall_structure", "precision"] == 0
+    assert np.isnan(table["tall_structure", "recall"])
+    with pytest.raises(BadInput, match="cityscapes"):
+        find_mapping("cityscapes")
 
 
 def test_precision_and_recall_on_semantickitti(shared_data):
-    root = shared_data / "semantickitti"
-    confusion = np.zeros((4, 4), np.int64)
+    root, frames = shared_data / "semantickitti", []
     for path in sorted(root.glob("0[0125]/velodyne/*.bin.xz")):
         points = np.frombuffer(read_bytes(path), np.float32).reshape(-1, 4)[:, :3]
         ids = np.frombuffer(read_bytes(path.parent.parent / "labels" / path.name.replace(".bin", ".label")), np.uint32) & 0xFFFF
-        labels = segment_frame(points, 1.73, foot_method="none")
-        for truth, wanted in ((GROUND, GROUND_IDS), (SHORT_OBJECT, SHORT_IDS), (TALL_STRUCTURE, TALL_IDS)):
-            confusion[truth] += count_classes(labels[np.isin(ids, wanted)])
-    precision = np.diag(confusion)[1:] / confusion[1:, 1:].sum(axis=0)
-    recall = np.diag(confusion)[1:] / confusion[1:].sum(axis=1)
-    assert precision[0] > 0.97
-    assert recall[0] > 0.88
-    assert precision[2] > 0.88
-    assert recall[2] > 0.90
+        frames.append((segment_frame(points, 1.73, foot_method="none"), ids))
+    table = score_grid(count_confusion(frames, find_mapping("semantickitti"))).set_index(["class", "metric"])["value"]
+    assert table["ground", "precision"] > 97
+    assert table["ground", "recall"] > 88
+    assert table["tall_structure", "precision"] > 88
+    assert table["tall_structure", "recall"] > 90

@@ -81,6 +81,21 @@ def test_every_point_lands_where_it_belongs(street, tmp_path):
     assert not (tmp_path / "work").exists()
 
 
+def test_normals_turn_with_the_frames(street, tmp_path):
+    frames, poses = street
+    T_map_segment = transform([0, 0, 0], [0, 0, np.pi / 2])
+    settings = replace(SETTINGS, normal_neighbours=12, classes=(GROUND, TALL_STRUCTURE))
+    merge_frames(reader(frames[:3]), {i: poses[i] for i in range(3)}, tmp_path / "t", tmp_path / "w", settings, T_map_segment)
+    clouds, _ = read_tiles(tmp_path / "t")
+    normals = np.concatenate([np.stack([c.fields[f"normal_{a}"] for a in "xyz"], axis=1) for c in clouds.values()])
+    labels = np.concatenate([c.fields["grid_class"] for c in clouds.values()])
+    assert np.allclose(np.linalg.norm(normals, axis=1), 1, atol=1e-3)
+    assert np.median(normals[labels == GROUND, 2]) > 0.95
+    # The street runs along y of the map, so its fronts look along x.
+    fronts = np.abs(normals[labels == TALL_STRUCTURE])
+    assert (fronts[:, 0] > 0.9).mean() > 2 * (fronts[:, 1] > 0.9).mean()
+
+
 def test_thinning_keeps_one_point_per_cube(street, tmp_path):
     frames, poses = street
     merge_frames(reader(frames), poses, tmp_path / "t", tmp_path / "w", replace(SETTINGS, thin_m=0.2))

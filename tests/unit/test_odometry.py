@@ -9,6 +9,7 @@ from street_frames import PERIOD_S, drive, pose, scan, street_boxes
 from streetscan.errors import BadInput
 from streetscan.geometry import invert, rotation_angle, transform
 from streetscan.registration.grid_classes import segment_frame
+from streetscan.registration.ndt import NdtSettings
 from streetscan.registration.odometry import (
     STATUSES,
     Frame,
@@ -121,7 +122,19 @@ def test_a_gap_of_ten_frames_is_bridged_or_said(straight, odometry_after):
     frames, truth = straight
     row = odometry_after().add(frames[20])
     assert row.status == "ok"
-    assert max(errors([row], truth)) < 0.15
+    assert max(errors([row], truth)) < 0.2
+
+
+def test_without_a_prediction_the_search_starts_at_the_last_frame(straight):
+    frames, truth = straight
+    plain = OdometrySettings(target="previous", is_predicted=False)
+    near = list(register_frames(frames[:4], plain))
+    assert [r.status for r in near] == ["start", "ok", "ok", "ok"]
+    assert max(errors(near, truth)) < 0.1
+    far = list(register_frames(frames[:19:6], replace(plain, ndt=NdtSettings(sizes_m=(1.0,)))))
+    assert all(r.status not in ("ok", "start") for r in far[1:])
+    predicted = list(register_frames(frames[:19:6], OdometrySettings(target="previous")))
+    assert [r.status for r in predicted] == ["start", "ok", "ok", "ok"]
 
 
 def test_another_place_breaks_the_chain(odometry_after):
@@ -144,7 +157,7 @@ def test_standing_does_not_drift(target):
     rows = [odometry.add(frame(i, scan(pose(0), boxes, rng)[0])) for i in range(12)]
     assert all(r.is_posed for r in rows)
     assert max(np.linalg.norm(r.T_segment_lidar[:3, 3]) for r in rows) < 0.02
-    assert max(rotation_angle(r.T_segment_lidar) for r in rows) < np.radians(0.05)
+    assert max(rotation_angle(r.T_segment_lidar) for r in rows) < np.radians(0.1)
 
 
 def test_motion_within_the_revolution_is_undone():

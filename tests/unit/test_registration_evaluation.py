@@ -103,7 +103,7 @@ def test_all_figures_of_a_chain():
     assert table.loc["failed_pairs", "n"] == 79
     assert table.loc["frame_rate", "value"] == pytest.approx(50)
     assert table.loc["ape_rmse", "value"] < 1e-9
-    assert table.loc["drift_50m", "n"] > 0
+    assert table.loc["drift", "n"] > 0
     lost = evaluate_chain(rows_of(truth, ["empty"] * 80), truth, np.full(80, 0.02)).set_index("metric")
     assert lost.loc["failed_share", "value"] == 100
     assert np.isnan(lost.loc["rpe_rmse", "value"])

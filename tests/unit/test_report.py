@@ -12,6 +12,7 @@ from streetscan.benchmarks import report
 from streetscan.benchmarks.scores import SCORE_COLUMNS, Evaluation, add_paper_rows, make_score
 from streetscan.benchmarks.tables import make_tables
 from streetscan.errors import BadInput
+from streetscan.io.images import encode_png
 
 VOID = {"meta", "img", "input", "br", "link", "hr"}
 FACTS = {"Run": "try <1>", "Version": "streetscan 0", "Seed": "1"}
@@ -197,6 +198,16 @@ def test_parameter_studies_become_curves(tmp_path):
 def test_missing_pictures_are_named(tmp_path):
     with pytest.raises(BadInput, match=r"gone\.svg"):
         report.embed(tmp_path / "gone.svg", "")
+
+
+def test_large_pictures_are_embedded_smaller(tmp_path):
+    noise = np.random.default_rng(0).integers(0, 256, (300, 400, 3)).astype(np.uint8)
+    (tmp_path / "view.png").write_bytes(encode_png(noise))
+    (tmp_path / "lines.png").write_bytes(encode_png(np.zeros((300, 400, 3), np.uint8)))
+    view, lines = (report.embed(tmp_path / name, "").data for name in ("view.png", "lines.png"))
+    assert view.startswith("data:image/webp;base64,")
+    assert len(view) < (tmp_path / "view.png").stat().st_size / 2
+    assert lines.startswith("data:image/png;base64,")
 
 
 def test_the_run_is_described():

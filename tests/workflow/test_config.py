@@ -1,10 +1,15 @@
 """Config and data set files: complete, described, and refused when misspelt."""
 
 import re
+from dataclasses import replace
 
 import pytest
 import yaml
 from dag import HOME, snakemake
+
+from streetscan.registration.grid_classes import GridSettings
+from streetscan.registration.merging import MergeSettings, make_merge_settings
+from streetscan.registration.odometry import OdometrySettings, make_settings
 
 SCHEMAS = sorted((HOME / "config").glob("*schema.yaml"))
 
@@ -34,11 +39,20 @@ def test_schema_is_closed_and_described(path):
 def test_every_section_is_a_step():
     config = yaml.safe_load((HOME / "config" / "default.yaml").read_text())
     rules = set(re.findall(r"^rule (\w+):", "".join(p.read_text() for p in (HOME / "rules").glob("*.smk")), re.MULTILINE))
-    sections = {name for name, value in config.items() if isinstance(value, dict)} - {"models"}
+    sections = {name for name, value in config.items() if isinstance(value, dict)} - {"first_run", "models", "registrars", "localizers"}
     assert sections <= rules
     for rule in rules:
         assert (HOME / "scripts" / f"{rule}.py").is_file(), rule
         assert (HOME / "tests" / "scripts" / f"test_{rule}.py").is_file(), rule
+
+
+def test_settings_of_registration_are_the_library_s():
+    """Benchmarks and tests use the library's defaults; the workflow's are written out in the config."""
+    config = yaml.safe_load((HOME / "config" / "default.yaml").read_text())
+    assert GridSettings(**config["segment_frames"]["grid"]) == GridSettings()
+    assert make_settings(config["register_frames"]["settings"]) == OdometrySettings()
+    merging = make_merge_settings(config["merge_frames"])
+    assert merging == replace(MergeSettings(), classes=merging.classes)
 
 
 def test_scripts_are_thin():
@@ -70,6 +84,10 @@ def test_misspelt_key_is_named(override, key, tmp_path):
         ({"labelled_maps": ["city_tiny/nomodel"]}, "nomodel"),
         ({"labelled_maps": ["own_scan/c2cnn"]}, "own_scan"),
         ({"labelled_maps": ["terramobilita/c2cnn"]}, "terramobilita"),
+        ({"registered_drives": ["nowhere/ndt_tall"]}, "nowhere.yaml"),
+        ({"merged_drives": ["kitti_0001/icp"]}, "registrar 'icp'"),
+        ({"registrars": {"ndt_tall": {"classes": ["walls"]}}}, "registrars.ndt_tall.classes"),
+        ({"register_frames": {"settings": {"ndt": {"n_neighbours": 3}}}}, "register_frames.settings.ndt.n_neighbours"),
         ({"labelled_maps": ["oakland/c2cnn_shipped"], "data_root": "nowhere"}, "nowhere/oakland"),
     ],
 )

@@ -44,7 +44,11 @@ def test_the_page_on_own_drives_computes_what_it_says(tmp_path):
     for command in commands:
         words = shlex.split(command.replace("<name>", "hdl32_capture").replace("<folder>", str(tmp_path)))
         rules.append({job.rule for job in dry_run(*words, directory=tmp_path)})
-    assert rules == [{"import_drive", "inspect_drive"}, {"import_drive", "export_drive"}]
+    assert rules == [
+        {"import_drive", "inspect_drive"},
+        {"import_drive", "segment_frames", "register_frames", "merge_frames"},
+        {"import_drive", "export_drive"},
+    ]
 
 
 def test_edit_of_the_deepest_import_runs_a_rule_again(tmp_path, tiny_scan):
@@ -61,3 +65,20 @@ def test_edit_of_the_deepest_import_runs_a_rule_again(tmp_path, tiny_scan):
     with open(copy / "streetscan" / "errors.py", "a") as stream:
         stream.write("# edited\n")
     assert "voxelize_map" in subprocess.run(command, cwd=copy, check=True, capture_output=True, text=True).stdout
+
+
+def test_a_drive_becomes_a_map_in_one_workflow(tmp_path, shared_data):
+    """From a recording to the labels of its street: the merged tiles are what import_map reads."""
+    arguments = [f"data_root={shared_data}", 'labelled_maps=["kitti_0001_street/c2cnn_shipped"]']
+    jobs = {job.rule: job for job in dry_run("--config", *arguments, directory=tmp_path)}
+    assert {"import_drive", "segment_frames", "register_frames", "merge_frames", "import_map", "label_map"} <= set(jobs)
+    tiles = "results/merge_frames/kitti_0001/ndt_street/tiles"
+    assert tiles in jobs["merge_frames"].outputs
+    assert tiles in jobs["import_map"].inputs
+
+
+def test_city_drives_are_simulated_and_scored(tmp_path):
+    jobs = dry_run("--config", "labelled_maps=[]", 'registered_drives=["city_tiny_main_road/ndt_tall"]', directory=tmp_path)
+    rules = {job.rule for job in jobs}
+    assert {"simulate_drive", "segment_frames", "evaluate_frames", "register_frames", "evaluate_registration", "show_frames"} <= rules
+    assert not rules & {"import_drive", "merge_frames", "label_map"}

@@ -1,0 +1,73 @@
+"""Whether a found pose is to be believed.
+
+Beyond the thesis, whose vote always has a maximum. A pose that is wrong and called `ok` is the worst of all outcomes, so each way to be
+fooled has its test: too little to go by, another place that fits as well, a frame that does not lie on the map.
+"""
+
+from dataclasses import dataclass
+
+VERDICTS = {
+    "ok": "localized",
+    "ambiguous": "another place fits about as well, or too few objects agree on this one",
+    "too_few_objects": "too few objects in the frame or landmarks in range to decide",
+    "off_map": "the start or the pose is not on the map, or the frame does not lie on it",
+    "no_points": "the frame holds no point with finite coordinates",
+    "no_ground": "no ground is seen, so there is no vertical",
+    "no_start": "neither a position nor a pose before it is known",
+}
+
+
+@dataclass(frozen=True)
+class VerdictSettings:
+    """Limits of the verdict.
+
+    Attributes:
+        min_objects: fewer objects that could be landmarks cannot decide.
+        min_inliers: fewer objects that agree are chance.
+        min_consensus: least consensus of the vote.
+        min_margin: least lead of the best peak of the vote over the next, as a share of it.
+        min_overlap: least share of the frame's points that lie on the map.
+        min_plane_margin: least lead of the best place over the next in the search by points, as a share of it.
+    """
+
+    min_objects: int = 3
+    min_inliers: int = 3
+    min_consensus: float = 1.2
+    min_margin: float = 0.25
+    min_overlap: float = 0.35
+    min_plane_margin: float = 0.08
+
+
+@dataclass
+class Evidence:
+    """What the verdict goes by.
+
+    Attributes:
+        is_on_map: the pose lies on the map.
+        n_objects: most pairs of object and landmark that could be true at once.
+        n_inliers, consensus, margin: of the vote's peak the pose comes from; the margin is its lead over the next as a share.
+        overlap: share of the frame's points that lie on the map; NaN when points are not used.
+        plane_margin: lead over the next place in the search by points, as a share; NaN when the pose comes from the vote.
+    """
+
+    is_on_map: bool
+    n_objects: int
+    n_inliers: int = 0
+    consensus: float = 0.0
+    margin: float = 0.0
+    overlap: float = float("nan")
+    plane_margin: float = float("nan")
+
+
+def judge(evidence: Evidence, settings: VerdictSettings = VerdictSettings()) -> str:
+    """A key of VERDICTS."""
+    e, s = evidence, settings
+    # Said so that an overlap that was not measured refuses nothing.
+    if not e.is_on_map or e.overlap < s.min_overlap:
+        return "off_map"
+    if e.plane_margin >= s.min_plane_margin:
+        return "ok"
+    if e.n_objects < s.min_objects:
+        return "too_few_objects"
+    is_agreed = e.n_inliers >= s.min_inliers and e.consensus >= s.min_consensus and e.margin >= s.min_margin
+    return "ok" if is_agreed else "ambiguous"

@@ -1,0 +1,33 @@
+"""The verdict: each way to be fooled has its answer."""
+
+from dataclasses import replace
+
+import pytest
+
+from streetscan.localization.verdict import VERDICTS, Evidence, judge
+
+GOOD = Evidence(True, n_objects=20, n_inliers=6, consensus=3.0, margin=0.4, overlap=0.6)
+
+
+@pytest.mark.parametrize(
+    ("change", "verdict"),
+    [
+        ({}, "ok"),
+        ({"is_on_map": False}, "off_map"),
+        ({"overlap": 0.2}, "off_map"),
+        ({"overlap": float("nan")}, "ok"),
+        ({"n_objects": 2}, "too_few_objects"),
+        ({"n_inliers": 2}, "ambiguous"),
+        ({"consensus": 0.5}, "ambiguous"),
+        ({"margin": 0.1}, "ambiguous"),
+        ({"margin": -0.2}, "ambiguous"),
+        ({"margin": 0.0, "plane_margin": 0.2}, "ok"),
+        ({"n_objects": 0, "plane_margin": 0.2}, "ok"),
+        ({"n_objects": 0, "plane_margin": 0.02}, "too_few_objects"),
+        ({"margin": 0.0, "plane_margin": 0.02}, "ambiguous"),
+        ({"plane_margin": 0.2, "overlap": 0.1}, "off_map"),
+    ],
+)
+def test_verdicts(change, verdict):
+    assert judge(replace(GOOD, **change)) == verdict
+    assert verdict in VERDICTS
