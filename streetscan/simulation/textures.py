@@ -235,27 +235,6 @@ def _text(u, v, height_m, footprint_m, seed):
 
 
 @numba.njit(cache=True)
-def _specks(u, v, footprint_m, seed):
-    """Logarithm of brightness of round dark and light spots of four sizes: stones in asphalt, chewing gum, knots, chips."""
-    total, cell = 0.0, 0.32
-    for n in range(4):
-        i, j = np.int64(np.floor(u / cell)), np.int64(np.floor(v / cell))
-        if random_of(i, j, n, seed + 80) < 0.45:
-            # A spot keeps within its cell, so one cell is all there is to look at.
-            radius = (0.10 + 0.22 * random_of(i, j, n, seed + 81)) * cell
-            room = cell - 2 * radius
-            du = u - i * cell - radius - room * random_of(i, j, n, seed + 82)
-            dv = v - j * cell - radius - room * random_of(i, j, n, seed + 83)
-            inside = min(max((radius - np.sqrt(du * du + dv * dv)) / max(footprint_m, 0.15 * radius) + 0.5, 0.0), 1.0)
-            tone = 1.1 * random_of(i, j, n, seed + 84) - 0.6
-            total += tone * inside * visible(2 * radius, footprint_m)
-        cell *= 0.4
-        # The cells of the sizes are turned against each other.
-        u, v = 0.8 * u - 0.6 * v, 0.6 * u + 0.8 * v
-    return total
-
-
-@numba.njit(cache=True)
 def _mix(a, b, share):
     return a[0] + share * (b[0] - a[0]), a[1] + share * (b[1] - a[1]), a[2] + share * (b[2] - a[2])
 
@@ -328,8 +307,6 @@ def albedo_at(pattern, look, base, x, y, z, nx, ny, nz, footprint_m, seed):
     contrast = look[CONTRAST]
     grain = octaves(x, y, z, look[COARSEST], look[FINEST], footprint_m, seed)
     colour = base
-    if pattern in (ASPHALT, SLABS, SETTS, PLASTER, ASHLAR, BRICK):
-        colour = _scale(colour, np.exp(_specks(u, v, footprint_m, seed)))
     if pattern == ASPHALT:
         # Patches of other age, cracks along the zero lines of a coarse noise, and spots of oil.
         patch = value_noise(x / 3.1, y / 3.1, z / 3.1, seed + 40)
