@@ -13,7 +13,7 @@ from streetscan.classes import LABELS
 from streetscan.errors import BadInput
 from streetscan.io.arrays import load_npz, save_npz
 from streetscan.landmarks import Landmarks
-from streetscan.registration.ndt import thin_points
+from streetscan.registration.ndt import EMPTY, find_slot, pack_cell, thin_points
 from streetscan.segmentation.ground import fill_holes
 from streetscan.voxels import VoxelGrid, pack_keys
 
@@ -168,7 +168,7 @@ class OccupancyGrid:
         self._size_m = size_m
         keys = np.unique(pack_keys(np.floor(points / size_m).astype(np.int64))) if len(points) else np.empty(0, np.int64)
         n_table = 1 << int(np.ceil(np.log2(4 * len(keys) + 4)))
-        self._table = _fill_table(keys, np.full(n_table, np.int64(-1)))
+        self._table = _fill_table(keys, np.full(n_table, EMPTY))
 
     def overlap(self, points: np.ndarray, T: np.ndarray) -> float:
         """Share of points (N, 3) that lie on the map once turned and moved by T (4, 4): 1 in a cube with static points, 0.5 beside one.
@@ -180,53 +180,31 @@ class OccupancyGrid:
         return _overlap(self._table, np.ascontiguousarray(points, np.float64), T[:3, :3].copy(), T[:3, 3].copy(), self._size_m)
 
 
-@njit(inline="always")
-def _slot(key, n_table):
-    return np.int64((np.uint64(key) * np.uint64(0x9E3779B97F4A7C15)) >> np.uint64(32)) & (n_table - 1)
-
-
 @njit(cache=True, nogil=True)
 def _fill_table(keys, table):
-    n = len(table)
     for key in keys:
-        at = _slot(key, n)
-        while table[at] != -1:
-            at = (at + 1) & (n - 1)
-        table[at] = key
+        table[find_slot(table, key)] = key
     return table
 
 
 @njit(cache=True, nogil=True)
-def _has(table, key):
-    n = len(table)
-    at = _slot(key, n)
-    while table[at] != -1:
-        if table[at] == key:
-            return True
-        at = (at + 1) & (n - 1)
-    return False
-
-
-@njit(cache=True, nogil=True)
 def _overlap(table, points, rotation, translation, size):
-    half, total = 1 << 20, 0.0
+    total = 0.0
+    at = np.empty(3, np.int64)
     for p in range(len(points)):
-        k = np.empty(3, np.int64)
         for a in range(3):
-            at = translation[a]
+            place = translation[a]
             for b in range(3):
-                at += rotation[a, b] * points[p, b]
-            k[a] = int(np.floor(at / size)) + half
-        key = (k[0] << 42) | (k[1] << 21) | k[2]
-        if _has(table, key):
+                place += rotation[a, b] * points[p, b]
+            at[a] = int(np.floor(place / size))
+        if table[find_slot(table, pack_cell(at[0], at[1], at[2]))] != EMPTY:
             total += 1.0
-        elif (
-            _has(table, key + 1)
-            or _has(table, key - 1)
-            or _has(table, key + (1 << 21))
-            or _has(table, key - (1 << 21))
-            or _has(table, key + (1 << 42))
-            or _has(table, key - (1 << 42))
-        ):
-            total += 0.5
+            continue
+        is_beside = False
+        for a in range(3):
+            for step in (-1, 1):
+                at[a] += step
+                is_beside = is_beside or table[find_slot(table, pack_cell(at[0], at[1], at[2]))] != EMPTY
+                at[a] -= step
+        total += 0.5 if is_beside else 0.0
     return total / len(points)

@@ -20,7 +20,7 @@ from numba import njit
 from streetscan.errors import BadInput
 
 _N_MOMENTS = 9
-_EMPTY = np.int64(-(2**62))
+EMPTY = np.int64(-(2**62))
 _NEIGHBOURS = {
     1: np.zeros((1, 3), np.int64),
     7: np.array([(0, 0, 0), (1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1)], np.int64),
@@ -95,7 +95,7 @@ class NdtField:
     def __init__(self, size_m: float, settings: NdtSettings = NdtSettings()):
         self.size_m, self._settings = float(size_m), settings
         self.n_cells = 0
-        self._table = np.full(1 << 12, _EMPTY)
+        self._table = np.full(1 << 12, EMPTY)
         self._rows = np.zeros(1 << 12, np.int32)
         self._allocate(1 << 11)
 
@@ -152,7 +152,7 @@ class NdtField:
 
     def _grow(self) -> None:
         self._allocate(2 * len(self._counts))
-        self._table = np.full(2 * len(self._table), _EMPTY)
+        self._table = np.full(2 * len(self._table), EMPTY)
         self._rows = np.zeros(len(self._table), np.int32)
         _rebuild(self._table, self._rows, self._keys, self.n_cells)
 
@@ -167,7 +167,7 @@ class NdtField:
             array[: len(kept)] = array[kept]
             array[len(kept) : self.n_cells] = 0
         self.n_cells = len(kept)
-        self._table[:] = _EMPTY
+        self._table[:] = EMPTY
         _rebuild(self._table, self._rows, self._keys, self.n_cells)
 
     @property
@@ -186,7 +186,7 @@ class NdtField:
         n = len(keys)
         self.n_cells = 0
         self._allocate(max(2048, 1 << int(np.ceil(np.log2(max(n, 1) + 1)))))
-        self._table = np.full(2 * len(self._counts), _EMPTY)
+        self._table = np.full(2 * len(self._counts), EMPTY)
         self._rows = np.zeros(len(self._table), np.int32)
         self._keys[:n], self._counts[:n], self._moments[:n], self._is_dirty[:n] = keys, counts, moments, True
         self.n_cells = n
@@ -238,7 +238,7 @@ def thin_points(points: np.ndarray, size_m: float) -> np.ndarray:
     if size_m <= 0 or len(points) == 0:
         return points.reshape(-1, 3)
     n_table = 1 << int(np.ceil(np.log2(2 * len(points) + 2)))
-    return _thin(points, size_m, np.full(n_table, _EMPTY), np.zeros(n_table, np.int32))
+    return _thin(points, size_m, np.full(n_table, EMPTY), np.zeros(n_table, np.int32))
 
 
 def fit(fields: list[NdtField], points: np.ndarray, T_target_source: np.ndarray, settings: NdtSettings, thin_m: float = 0.0) -> Fit:
@@ -321,7 +321,7 @@ def _rotation_of(vector: np.ndarray) -> np.ndarray:
 
 
 @njit(inline="always")
-def _pack(i, j, k):
+def pack_cell(i, j, k):
     # 21 bits an axis, as in streetscan.voxels.
     half = 1 << 20
     return ((i + half) << 42) | ((j + half) << 21) | (k + half)
@@ -335,11 +335,11 @@ def _slot_of(key, n_table):
 
 
 @njit(inline="always")
-def _find(table, key):
+def find_slot(table, key):
     """Slot that holds the key, or the empty slot where it belongs."""
     n_table = len(table)
     slot = _slot_of(key, n_table)
-    while table[slot] != key and table[slot] != _EMPTY:
+    while table[slot] != key and table[slot] != EMPTY:
         slot = (slot + 1) & (n_table - 1)
     return slot
 
@@ -347,8 +347,8 @@ def _find(table, key):
 @njit(cache=True, nogil=True)
 def _rebuild(table, rows, keys, n_cells):
     for row in range(n_cells):
-        key = _pack(keys[row, 0], keys[row, 1], keys[row, 2])
-        slot = _find(table, key)
+        key = pack_cell(keys[row, 0], keys[row, 1], keys[row, 2])
+        slot = find_slot(table, key)
         table[slot] = key
         rows[slot] = row
 
@@ -358,9 +358,9 @@ def _insert(points, start, size, table, rows, keys, counts, moments, is_dirty, n
     """Adds points from `start` on; returns where it stopped (the tables are full) and the number of cells."""
     for p in range(start, len(points)):
         i, j, k = int(np.floor(points[p, 0] / size)), int(np.floor(points[p, 1] / size)), int(np.floor(points[p, 2] / size))
-        key = _pack(i, j, k)
-        slot = _find(table, key)
-        if table[slot] == _EMPTY:
+        key = pack_cell(i, j, k)
+        slot = find_slot(table, key)
+        if table[slot] == EMPTY:
             if n_cells == len(counts):
                 return p, n_cells
             table[slot] = key
@@ -460,9 +460,9 @@ def _thin(points, size, table, rows):
     counts = np.zeros(len(points), np.int64)
     n = 0
     for p in range(len(points)):
-        key = _pack(int(np.floor(points[p, 0] / size)), int(np.floor(points[p, 1] / size)), int(np.floor(points[p, 2] / size)))
-        slot = _find(table, key)
-        if table[slot] == _EMPTY:
+        key = pack_cell(int(np.floor(points[p, 0] / size)), int(np.floor(points[p, 1] / size)), int(np.floor(points[p, 2] / size)))
+        slot = find_slot(table, key)
+        if table[slot] == EMPTY:
             table[slot] = key
             rows[slot] = n
             n += 1
@@ -498,9 +498,9 @@ def _evaluate(points, rotation, translation, size, offsets, table, rows, means, 
         i, j, k = int(np.floor(x0 / size)), int(np.floor(x1 / size)), int(np.floor(x2 / size))
         is_hit = False
         for o in range(len(offsets)):
-            key = _pack(i + offsets[o, 0], j + offsets[o, 1], k + offsets[o, 2])
-            slot = _find(table, key)
-            if table[slot] == _EMPTY:
+            key = pack_cell(i + offsets[o, 0], j + offsets[o, 1], k + offsets[o, 2])
+            slot = find_slot(table, key)
+            if table[slot] == EMPTY:
                 continue
             row = rows[slot]
             if not is_gaussian[row]:
