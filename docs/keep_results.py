@@ -46,7 +46,7 @@ def main() -> None:
         shutil.rmtree(target, ignore_errors=True)
         target.mkdir(parents=True)
         shutil.copy(source / "scores.csv", target)
-        shutil.copytree(source / "tables", target / "tables")
+        shutil.copytree(source / "tables", target / "tables", ignore=shutil.ignore_patterns(".*"))
         if is_simulated(source / "scores.csv") and (source / "report.html").stat().st_size < MAX_BYTES:
             shutil.copy(source / "report.html", target)
         lines = [
