@@ -16,7 +16,7 @@ def read_pcd(path: str | Path) -> PointCloud:
     Args:
         path: the file.
     Returns:
-        the cloud, with every field but x, y, z under its own name and type.
+        the cloud, with every field but x, y, z under its own name and type; PCL's packed `rgb` or `rgba` also as red, green, blue.
     Raises:
         BadInput: no such file, not PCD, truncated, no x, y, z, NaN or infinite coordinates (PCD's mark of a missing
             return), large coordinates in 32-bit floats, no point.
@@ -41,4 +41,9 @@ def read_pcd(path: str | Path) -> PointCloud:
     check_points(points, path, stored_as_float32=any(records.dtype[axis] == np.float32 for axis in "xyz"))
     # A field named `_` is padding; pypcd4 renames it with these characters.
     fields = {name: np.ascontiguousarray(records[name]) for name in names if name not in ("x", "y", "z") and "#$%&" not in name}
+    for name in ("rgb", "rgba"):
+        if name in fields and fields[name].ndim == 1 and fields[name].dtype.itemsize == 4 and "red" not in fields:
+            # Bytes blue, green, red, alpha from the lowest; PCL stores them in a float or an integer.
+            packed = fields[name].view(np.uint32)
+            fields |= {colour: (packed >> shift & 255).astype(np.uint8) for colour, shift in (("red", 16), ("green", 8), ("blue", 0))}
     return PointCloud(points, fields)

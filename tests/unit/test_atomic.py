@@ -1,3 +1,6 @@
+import os
+import subprocess
+
 import pytest
 
 from streetscan.io.atomic import atomic_path
@@ -26,3 +29,15 @@ def test_a_block_that_writes_nothing_is_an_error(tmp_path):
     with pytest.raises(FileNotFoundError), atomic_path(tmp_path / "file.txt"):
         pass
     assert list(tmp_path.iterdir()) == []
+
+
+def test_leftovers_of_killed_processes_go_those_of_living_ones_stay(tmp_path):
+    with subprocess.Popen(["true"]) as ended:
+        pass
+    dead, nested = tmp_path / f".{ended.pid}.file.txt", tmp_path / f".{ended.pid}..{ended.pid}.file.txt"
+    living, other = tmp_path / f".{os.getppid()}.file.txt", tmp_path / f".{ended.pid}.other.txt"
+    for path in (dead, nested, living, other):
+        path.write_text("half")
+    with atomic_path(tmp_path / "file.txt") as partial:
+        partial.write_text("whole")
+    assert set(tmp_path.iterdir()) == {tmp_path / "file.txt", living, other}

@@ -79,3 +79,13 @@ def test_a_real_file(shared_data):
     assert paths
     for path in paths:
         assert len(read_pcd(path)) > 1000
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.uint32])
+def test_packed_colours_are_taken_apart(tmp_path, dtype):
+    packed = np.array([0x00FF8001, 0x0012_3456], np.uint32)
+    columns = [np.zeros(2), np.arange(2.0), np.zeros(2), packed.view(dtype)]
+    types = (np.float64, np.float64, np.float64, dtype)
+    pypcd4.PointCloud.from_points(columns, ("x", "y", "z", "rgb"), types).save(tmp_path / "a.pcd", pypcd4.Encoding.BINARY)
+    fields = read_pcd(tmp_path / "a.pcd").fields
+    np.testing.assert_array_equal(np.stack([fields[c] for c in ("red", "green", "blue")], axis=1), [[255, 128, 1], [0x12, 0x34, 0x56]])
