@@ -186,7 +186,8 @@ def check_facts(facts: dict, schema: dict, where: object) -> None:
         missing = next(key for key in error.validator_value if key not in error.instance)
         description = error.schema.get("properties", {}).get(missing, {}).get("description", "the template own_scan.yaml has it")
         raise BadInput(where, f"the key '{prefix}{missing}' is missing", f"add it ({description})")
-    message = error.message if len(error.message) < 200 else f"{error.message[:200]}..."
+    message = f"{error.instance} is not allowed" if error.validator == "not" else error.message
+    message = message if len(message) < 200 else f"{message[:200]}..."
     description = error.schema.get("description")
     raise BadInput(where, f"key '{place}': {message}", f"mend the value ({description})" if description else "mend the value")
 

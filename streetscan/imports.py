@@ -105,7 +105,9 @@ def common_crs(declared: str | None, stored: str | None, where: object) -> str |
     try:
         parsed = pyproj.CRS.from_user_input(crs)
     except pyproj.exceptions.CRSError as error:
-        raise BadInput("crs", f"'{crs}' is no reference system pyproj knows", "give an EPSG code such as EPSG:23700, or null") from error
+        raise BadInput(
+            where, f"crs '{crs}' is no reference system pyproj knows", "give an EPSG code such as EPSG:23700, or null"
+        ) from error
     if not parsed.is_projected or any(axis.unit_name != "metre" for axis in parsed.to_2d().axis_info):
         units = " and ".join(sorted({axis.unit_name for axis in parsed.axis_info}))
         raise BadInput(where, f"is in {parsed.name}, whose unit is {units}", "reproject it to a projected system in metres")

@@ -29,8 +29,7 @@ def read_pcd(path: str | Path) -> PointCloud:
         records = np.atleast_1d(cloud.pc_data)
     # pypcd4 lets through whatever the parsing of a damaged file raises.
     except (ValueError, KeyError, IndexError, TypeError, AttributeError, RuntimeError, EOFError, struct.error, OSError) as error:
-        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise BadInput(path, f"not a complete PCD file ({reason})", "copy or export it again") from error
+        raise BadInput(path, "not a complete PCD file: header and data do not fit", "copy or export it again") from error
     if len(records) != cloud.metadata.points:
         raise BadInput(path, f"truncated: {len(records)} of {cloud.metadata.points} points", "copy or export it again")
     names = records.dtype.names

@@ -131,8 +131,9 @@ class Settings:
         try:
             content = yaml.safe_load(Path(path).read_text())
         except (OSError, yaml.YAMLError, UnicodeDecodeError) as error:
+            reason = getattr(error, "problem", None) or str(error).splitlines()[0]
             raise BadInput(
-                path, f"not readable as settings ({error})", "give the settings.yaml that was written beside the weights"
+                path, f"not readable as settings ({reason})", "give the settings.yaml that was written beside the weights"
             ) from error
         names = {f.name for f in fields(cls)}
         if not isinstance(content, dict) or set(content) != names:
