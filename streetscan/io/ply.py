@@ -164,4 +164,14 @@ def _ascii_chunks(path, header, vertex, before, dtype, chunk_points) -> Iterator
     n_skipped = header.n_lines + sum(element.n for element in before)
     for rows in iterate_rows(path, dtype.names, n_header_rows=n_skipped, chunk_rows=chunk_points, n_rows=vertex.n):
         # Every PLY integer fits a float64; coordinates keep all their digits.
-        yield {name: rows[:, i] if name in "xyz" else rows[:, i].astype(dtype[name]) for i, name in enumerate(dtype.names)}
+        yield {name: rows[:, i] if name in "xyz" else _cast(rows[:, i], dtype[name], name, path) for i, name in enumerate(dtype.names)}
+
+
+def _cast(values: np.ndarray, dtype: np.dtype, name: str, path: Path) -> np.ndarray:
+    """Values (N,) float64 in the type the header gives them. BadInput where an integer type cannot hold one."""
+    if dtype.kind in "iu":
+        fits = (values >= np.iinfo(dtype).min) & (values <= np.iinfo(dtype).max)
+        if not fits.all():
+            found = f"property '{name}' holds {values[np.argmin(fits)]:g}, which its type {dtype.name} cannot"
+            raise BadInput(path, found, "export it with a type that can")
+    return values.astype(dtype)

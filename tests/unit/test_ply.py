@@ -153,3 +153,11 @@ def test_utm_in_32_bits_is_refused_in_binary_and_kept_in_text(tmp_path):
 def test_missing_file_is_named(tmp_path):
     with pytest.raises(BadInput, match=r"no\.ply: no such file"):
         read_all(tmp_path / "no.ply")
+
+
+@pytest.mark.parametrize("value", ["300", "-1", "nan"])
+def test_ascii_integers_must_fit_their_type(tmp_path, value):
+    header = "ply\nformat ascii 1.0\nelement vertex 2\n" + "".join(f"property double {axis}\n" for axis in "xyz")
+    (tmp_path / "a.ply").write_text(f"{header}property uchar red\nend_header\n1 2 3 255\n1 2 4 {value}\n")
+    with pytest.raises(BadInput, match=r"a\.ply"):
+        list(iterate_ply(tmp_path / "a.ply"))
