@@ -224,7 +224,7 @@ def _lacks_format(path: Path) -> bool:
     try:
         with closing(sqlite3.connect(f"file:{path}?immutable=1", uri=True)) as database:
             return any(row[0] == "" for row in database.execute("SELECT serialization_format FROM topics"))
-    except sqlite3.Error:
+    except (sqlite3.Error, UnicodeDecodeError):
         return False  # rosbags will say what is wrong with it
 
 
@@ -232,7 +232,10 @@ def _lacks_format(path: Path) -> bool:
 def _open_databases(paths: list[Path]) -> Iterator[tuple[dict[str, str], Callable]]:
     databases = [sqlite3.connect(f"file:{p}?immutable=1", uri=True) for p in paths]
     try:
-        available = {name: kind for d in databases for name, kind in d.execute("SELECT name, type FROM topics")}
+        try:
+            available = {name: kind for d in databases for name, kind in d.execute("SELECT name, type FROM topics")}
+        except (sqlite3.Error, UnicodeDecodeError) as error:
+            raise BadInput(paths[0], f"is no whole ROS bag ({error})", "copy it again, or reindex it with the ROS tools") from error
 
         # ASSUME: an empty format is CDR, the only one rosbag2 has ever written.
         def messages(topics: tuple[str, ...]) -> Iterator[tuple[str, str, bytes]]:

@@ -250,6 +250,17 @@ def test_damaged_bags(tmp_path, kind, data):
     assert all(np.isfinite(r.points).all() for r in records if isinstance(r, LidarFrame))
 
 
+def test_a_database_with_text_that_is_none(tmp_path):
+    write_bag(tmp_path / "toy", items_of("sqlite3", 1), "sqlite3")
+    source = next((tmp_path / "toy").glob("*.db3"))
+    content = source.read_bytes()
+    # Every cell that says how a topic is serialized begins with a byte that begins no letter.
+    assert b"cdr" in content
+    source.write_bytes(content.replace(b"cdr", b"\x80dr"))
+    with pytest.raises(BadInput, match="toy"):
+        read(tmp_path / "toy")
+
+
 def test_jpeg_is_recognized():
     from streetscan.io.images import check_image
 
