@@ -3,6 +3,7 @@
 import csv
 import shutil
 from collections.abc import Iterable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,7 @@ from streetscan.io.arrays import load_npy
 from streetscan.io.atomic import atomic_folder, atomic_path
 from streetscan.io.files import read_text, read_yaml
 from streetscan.io.images import decode_image, encode_png
-from streetscan.io.mcap import iterate_drive, open_drive_writer
+from streetscan.io.mcap import iterate_drive, open_drive_writer, read_metadata
 from streetscan.io.pcd_sequence import write_pcd_frame
 
 # What a drive may hold, and how each format keeps it; what is not named here is lost.
@@ -49,13 +50,14 @@ KEPT = {
         "distortion": "/camera/calibration",
         "gps": "/gps",
         "mounting": "/tf",
+        "origin": "metadata streetscan",
     },
 }
 # "date" is when the first frame was taken, "frame status" that of the frames that are not `ok` in the frames.csv beside the drive;
-# "further images" are those a format with one image per frame has no number for.
+# "further images" are those a format with one image per frame has no number for; "origin" is the drive's description, source and licence.
 CONTENTS = (
     "points", "intensity", "ring", "firing times", "stamps", "images", "image stamps", "intrinsics", "distortion", "gps", "mounting",
-    "true poses", "true labels", "true extrinsics", "further images", "date", "frame status",
+    "true poses", "true labels", "true extrinsics", "further images", "date", "frame status", "origin",
 )  # fmt: skip
 # MCAP keeps the stamp of every image of its own.
 KEPT["mcap"]["image stamps"] = "/camera/image"
@@ -77,13 +79,15 @@ def export_drive(
     Raises:
         BadInput: an unknown format, no drive, or no frame in the range.
     """
-    writers = {"kitti_odometry": _write_kitti, "pcd_sequence": _write_pcd, "mcap": _write_mcap}
+    origin = {key: text for key, text in read_metadata(mcap_path, "streetscan").items() if key in ("drive", "description", "source")}
+    writers = {"kitti_odometry": _write_kitti, "pcd_sequence": _write_pcd, "mcap": partial(_write_mcap, origin)}
     if format not in writers:
         raise BadInput("format", f"'{format}'", f"choose one of {', '.join(writers)}")
     present: dict[str, int] = dict.fromkeys(CONTENTS, 0)
     records = _counted(_in_range(iterate_drive(mcap_path), frames), present, mcap_path)
     truth = None if truth_folder is None else _Truth(Path(truth_folder), present)
     writers[format](records, Path(output), truth, present)
+    present["origin"] = int(bool(origin))
     present["frame status"] = _count_not_ok(Path(mcap_path).with_name("frames.csv"), frames)
     return {name: n for name, n in present.items() if n and name not in KEPT[format]}
 
@@ -259,10 +263,12 @@ def _write_pcd(records: Iterable, output: Path, truth: _Truth | None, present: d
         (folder / "times.txt").write_text("".join(f"{t // 10**9}.{t % 10**9:09d}\n" for t in stamps))
 
 
-def _write_mcap(records: Iterable, output: Path, truth: _Truth | None, present: dict[str, int]) -> None:
+def _write_mcap(origin: dict[str, str], records: Iterable, output: Path, truth: _Truth | None, present: dict[str, int]) -> None:
     if output.is_dir():
         shutil.rmtree(output)
-    with atomic_path(output) as partial, open_drive_writer(partial) as writer:
+    with atomic_path(output) as unfinished, open_drive_writer(unfinished) as writer:
+        if origin:
+            writer.write_metadata("streetscan", origin)
         time_ns, static = None, []
         for record in records:
             # Intrinsics and mountings carry no stamp of their own: they take the one of the record that follows.

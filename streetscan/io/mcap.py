@@ -186,6 +186,16 @@ def read_camera_model(path: str | Path) -> CameraModel | None:
     return next(iterate_drive(path, (CALIBRATION,)), None)
 
 
+def read_metadata(path: str | Path, name: str) -> dict[str, str]:
+    """The first record of `DriveWriter.write_metadata` under a name; empty without one. BadInput when the file is damaged."""
+    path = Path(path)
+    with open_mcap(path, ()) as reader:
+        try:
+            return next((record.metadata for record in reader.iter_metadata() if record.name == name), {})
+        except Exception as error:
+            raise _damaged(path, error) from error
+
+
 def iterate_mcap(
     path: str | Path,
     topics: tuple[str, ...],

@@ -13,7 +13,7 @@ from streetscan.frames import CameraImage, LidarFrame
 from streetscan.io import kitti, trajectories
 from streetscan.io.exports import CONTENTS, KEPT
 from streetscan.io.images import encode_png
-from streetscan.io.mcap import iterate_drive, iterate_lidar, open_drive_writer
+from streetscan.io.mcap import iterate_drive, iterate_lidar, open_drive_writer, read_metadata
 from streetscan.io.pcd_sequence import read_pcd_columns
 
 
@@ -89,6 +89,21 @@ def test_what_is_dropped_is_said(drive, caplog):
     with caplog.at_level(logging.WARNING, "streetscan"):
         main(drive / "drive.mcap", drive / "b.mcap", "mcap")
     assert "no place" not in caplog.text
+
+
+def test_where_a_drive_comes_from_is_kept_or_said_to_be_lost(tmp_path, caplog):
+    with open_drive_writer(tmp_path / "d.mcap") as writer:
+        writer.write_lidar(LidarFrame(START_NS, *revolution(seed=0)[:2]))
+        writer.write_metadata("streetscan", {"drive": "d", "description": "a street", "source": "us, CC0", "n_ok": "1"})
+    with caplog.at_level(logging.WARNING, "streetscan"):
+        for format in ("kitti_odometry", "pcd_sequence"):
+            caplog.clear()
+            main(tmp_path / "d.mcap", tmp_path / format, format)
+            assert "origin 1" in {" ".join(line.split()) for line in caplog.text.splitlines()}
+        caplog.clear()
+        main(tmp_path / "d.mcap", tmp_path / "copy.mcap", "mcap")
+    assert "origin" not in caplog.text
+    assert read_metadata(tmp_path / "copy.mcap", "streetscan") == {"drive": "d", "description": "a street", "source": "us, CC0"}
 
 
 def test_every_format_speaks_of_the_same_contents():
