@@ -8,7 +8,7 @@ Source: Nagy (2020), 4.1.2 (FLIR Blackfly USB3, 1288 x 964, 25-30 pictures a sec
 mapping vehicle).
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 
 import cv2
@@ -125,18 +125,6 @@ def mount_camera(position_m: tuple[float, float, float], yaw_deg: float = 0.0, p
     T[:3, :3] = Rotation.from_euler("ZYX", [yaw_deg, pitch_deg, roll_deg], degrees=True).as_matrix() @ _FORWARD
     T[:3, 3] = position_m
     return T
-
-
-# The mapping vehicle's six cameras: name, T_vehicle_camera, camera.
-# ASSUME: a ring of five at 72 degrees, upright, and one that looks up to facades; the thesis says "up to six".
-_RING = Camera(width=964, height=1288, focal_px=800.0, distortion=(-0.10, 0.02, 2e-4, -1e-4))
-MAPPING_CAMERAS = {
-    **{
-        f"ring_{i}": (mount_camera((-1.2 + 0.25 * np.cos(a), 0.25 * np.sin(a), 2.55), np.degrees(a)), _RING)
-        for i, a in enumerate(2 * np.pi * np.arange(5) / 5)
-    },
-    "up": (mount_camera((-1.2, 0.0, 2.75), 0.0, -90.0), replace(_RING, focal_px=600.0)),
-}
 
 
 def project(points_camera: np.ndarray, model: CameraModel) -> np.ndarray:
