@@ -207,10 +207,8 @@ def _images(inspection: Inspection) -> str:
                 parts.append(f"<p>Frame {row}: {html.escape(str(error))}</p>")
         if not pixels:
             continue
-        ratios = [p.shape[1] / p.shape[0] for p in pixels.values()]
-        size = (_PAGE_INCHES, _PAGE_INCHES / sum(ratios))
-        figure, axes = plt.subplots(1, len(pixels), figsize=size, width_ratios=ratios, squeeze=False, layout="constrained")
-        drawn = [_draw_image(axis, inspection, row, name, pixels[name]) for axis, name in zip(axes[0], pixels, strict=True)]
+        figure, axes = _image_axes([p.shape[1] / p.shape[0] for p in pixels.values()])
+        drawn = [_draw_image(axis, inspection, row, name, pixels[name]) for axis, name in zip(axes, pixels, strict=True)]
         gap_ms = (images[next(iter(pixels))].time_ns * 1e-9 - inspection.frames["time_s"].iloc[row]) * 1e3
         is_one = len(pixels) == 1
         caption = f"{'Image' if is_one else 'Images'} of frame {row} ({gap_ms:+.1f} ms)" + ("" if is_one else f": {', '.join(pixels)}")
@@ -219,6 +217,17 @@ def _images(inspection: Inspection) -> str:
             caption += f", {n_points} lidar points in {'it' if is_one else 'them'}, coloured by depth (red near, blue 50 m)"
         parts.append(_figure(figure, caption + "."))
     return "".join(parts)
+
+
+def _image_axes(ratios: list[float]) -> tuple[plt.Figure, list[plt.Axes]]:
+    """Places for images of these widths over heights, at most three beside one another."""
+    n_columns = min(len(ratios), 3)
+    n_rows = -(-len(ratios) // n_columns)
+    size = _PAGE_INCHES, n_rows * _PAGE_INCHES / n_columns / min(ratios)
+    figure, axes = plt.subplots(n_rows, n_columns, figsize=size, squeeze=False, layout="constrained")
+    for axis in axes.flat[len(ratios) :]:
+        axis.set_axis_off()
+    return figure, list(axes.flat[: len(ratios)])
 
 
 def _draw_image(axis: plt.Axes, inspection: Inspection, row: int, name: str, pixels: np.ndarray) -> int | None:

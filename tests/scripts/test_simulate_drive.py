@@ -1,6 +1,7 @@
 """simulate_drive on the tiny city: the form every drive has, exact truth beside it, and a run that was stopped."""
 
 import json
+import re
 
 import numpy as np
 import pandas as pd
@@ -14,9 +15,11 @@ from toy_recordings import ROOT, SCHEMA
 from scripts.simulate_drive import main
 from streetscan import geodesy, geometry
 from streetscan.classes import FACADE, GROUND, PHANTOM
+from streetscan.drive_sheets import write_drive_sheet
 from streetscan.drives import read_drive_facts
 from streetscan.errors import BadInput
 from streetscan.frames import CameraImage, CameraModel, GpsFix, LidarFrame, Mounting
+from streetscan.inspection import inspect_drive
 from streetscan.io.images import decode_image
 from streetscan.io.mcap import iterate_drive, iterate_lidar, read_camera_model, read_topics
 from streetscan.io.trajectories import read_poses_csv, read_tum
@@ -316,6 +319,16 @@ def test_six_cameras_have_topics_and_truth_of_their_own(mapped):
             shares[name] = (mask["labels"] == GROUND).mean()
     assert shares["camera_up"] == 0
     assert min(shares[name] for name in names[:5]) > 0.1
+
+
+def test_the_page_of_six_cameras_shows_them_all(mapped):
+    inspection = inspect_drive(mapped / "drive.mcap", mapped / "frames.csv", mapped / "truth")
+    assert inspection.changes is None
+    assert [len(of_frame) for of_frame in inspection.images.values()] == [6]
+    write_drive_sheet(mapped / "sheet.html", "mapped", "six", "ours", inspection)
+    page = (mapped / "sheet.html").read_text()
+    assert all(f"<td>camera_{name}</td>" in page for name in (1, 2, 3, 4, 5, "up"))
+    assert int(re.search(r"camera_up, (\d+) lidar points in them", page)[1]) > 10_000
 
 
 def test_the_mapping_drive_is_the_first_pass_of_the_map_in_its_own_world(mapped):
