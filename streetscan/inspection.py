@@ -242,15 +242,15 @@ def _read_frames(path: str | Path) -> pd.DataFrame:
 
 
 def _pictured_rows(frames: pd.DataFrame, n: int) -> list[int]:
-    """Rows spread evenly over the frames that are whole and have an image; failing that whole; failing that with points."""
+    """Rows spread evenly over whole frames that have an image; where those are too few also others that are whole, then any with points."""
     has_points, is_whole = frames["n_points"].to_numpy() > 0, (frames["status"] == "ok").to_numpy()
     has_image = (frames["image_status"] == "ok").to_numpy()
+    chosen: list[int] = []
     for wanted in (has_points & is_whole & has_image, has_points & is_whole, has_points):
-        candidates = np.flatnonzero(wanted)
-        if len(candidates) >= n:
-            break
-    chosen = candidates[np.unique(np.linspace(0, len(candidates) - 1, n).round().astype(int))] if len(candidates) else []
-    return [int(row) for row in chosen]
+        candidates = np.setdiff1d(np.flatnonzero(wanted), chosen)
+        places = np.linspace(0, len(candidates) - 1, n - len(chosen)).round().astype(int)
+        chosen += [int(row) for row in candidates[np.unique(places)]] if len(candidates) else []
+    return sorted(chosen)
 
 
 def _counts(values: pd.Series) -> str:
