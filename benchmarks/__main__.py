@@ -12,6 +12,7 @@ from benchmarks.bench_localization import bench_localization
 from benchmarks.bench_registration import bench_registration
 from benchmarks.bench_sensors import bench_sensors
 from benchmarks.bench_simulation import bench_simulation
+from benchmarks.bench_textures import bench_textures
 from streetscan.io.tables import save_tables
 
 COLUMNS = ["benchmark", "metric", "value", "unit", "peer", "n"]
@@ -23,12 +24,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--data-root", default="../shared/data", help="folder with real recordings")
     parser.add_argument("--output", default="results/bench.csv")
-    parser.add_argument("names", nargs="*", help="of simulation, sensors, labelling, drives, localization, registration; all by default")
+    parser.add_argument("names", nargs="*", help="which; all by default")
     arguments = parser.parse_args()
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(message)s", datefmt="%H:%M:%S")
     benchmarks = {
         "simulation": bench_simulation,
         "sensors": bench_sensors,
+        "textures": bench_textures,
         "labelling": lambda: run_labelling_benchmark(arguments.data_root),
         "drives": lambda: bench_drives(arguments.data_root),
         "localization": lambda: bench_localization(arguments.data_root),

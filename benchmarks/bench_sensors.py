@@ -1,12 +1,21 @@
-"""How long a simulated drive's lidar frame and picture take on a street with heavy traffic, and what share of it is ray casting."""
+"""How long a simulated drive's lidar frame and picture take on a street with heavy traffic, what share of it is ray casting, and
+how memory grows with the length of a drive."""
 
+import dataclasses
+import subprocess
+import sys
+import tempfile
 import time
+from pathlib import Path
 
 import numpy as np
 
+from benchmarks.bench_drives import ROOT, SCHEMA, peak_memory_mb
 from streetscan import geometry
+from streetscan.drives import import_drive, read_drive_facts
 from streetscan.simulation.camera import Camera, mount_camera, render, settle_exposure
 from streetscan.simulation.changes import Day
+from streetscan.simulation.drives import SimulatedRecording
 from streetscan.simulation.layout import build_street
 from streetscan.simulation.raycasting import SceneCaster
 from streetscan.simulation.receiver import Receiver
@@ -36,7 +45,7 @@ class TimedCaster(SceneCaster):
 
 
 def bench_sensors() -> list[dict]:
-    """Rows of a frame of an HDL-64E and of a picture of 1288 x 964 pixels on the city's main road."""
+    """Rows of a frame of an HDL-64E and of a picture of 1288 x 964 pixels on the city's main road, and of whole drives' memory."""
     scene = build_street(120.0, "train", 1, day=Day(), time_span_s=(-10.0, 10.0))
     trajectory = drive_road(scene.places["main_road"][0], 25.0, scene.lane_offset_m, 0.0, np.random.default_rng(1))
     caster = TimedCaster(without_collisions(scene, trajectory), 0.0, 10.0)
@@ -49,7 +58,30 @@ def bench_sensors() -> list[dict]:
         render(caster, trajectory, T_vehicle_camera, camera, times_s[number], auto_exposure, rng)
 
     frames = _time(caster, "lidar frame", lambda number: record_frame(caster, lidar, trajectory, number, 1), N_FRAMES)
-    return frames + _time(caster, "image", take_picture, N_PICTURES)
+    return frames + _time(caster, "image", take_picture, N_PICTURES) + bench_memory()
+
+
+def bench_memory(lengths: tuple[int, int] = (50, 300)) -> list[dict]:
+    """Rows of the peak memory of whole processes that simulate drives of so many lidar frames."""
+    peaks_mb = []
+    for n_frames in lengths:
+        code = f"from benchmarks.bench_sensors import _simulate; print(_simulate({n_frames}))"
+        done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT, check=True)
+        peaks_mb.append(float(done.stdout.split()[-1]))
+    rows = [_row("peak memory", peak, "MB", n) for peak, n in zip(peaks_mb, lengths, strict=True)]
+    return [*rows, _row("peak memory, the longer drive's over the shorter's", peaks_mb[1] / peaks_mb[0], "1", lengths[1])]
+
+
+def _simulate(n_frames: int) -> float:
+    """Peak resident memory in MB after a drive along the city's training street at 10 km/h, without images."""
+    facts = read_drive_facts(ROOT / "config" / "drives" / "city_train_main_road.yaml", SCHEMA)
+    changed = {k: v for k, v in facts.simulation.items() if k != "camera"} | {"n_frames": n_frames, "speed_kmh": 10, "start_m": 5}
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        street = {"length_m": 120.0, "crs": facts.crs}
+        recording = SimulatedRecording(dataclasses.replace(facts, simulation=changed), "long", street, 1, folder, folder / "resume", 0)
+        import_drive(recording, "long", folder / "d.mcap", folder / "f.csv", folder / "truth")
+    return peak_memory_mb()
 
 
 def _time(caster: TimedCaster, name: str, record, n: int) -> list[dict]:
@@ -64,7 +96,8 @@ def _time(caster: TimedCaster, name: str, record, n: int) -> list[dict]:
         (f"processor time per {name}", cpu_seconds / n, "s"),
         (f"share of ray casting, {name}", caster.seconds / seconds, ""),
     )
-    return [
-        {"benchmark": "simulate_drive", "metric": metric, "value": value, "unit": unit, "peer": "", "n": n}
-        for metric, value, unit in figures
-    ]
+    return [_row(metric, value, unit, n) for metric, value, unit in figures]
+
+
+def _row(metric: str, value: float, unit: str, n: int) -> dict:
+    return {"benchmark": "simulate_drive", "metric": metric, "value": value, "unit": unit, "peer": "", "n": n}

@@ -13,7 +13,7 @@ import numpy as np
 
 from streetscan.classes import CLASSES, colours
 from streetscan.errors import BadInput
-from streetscan.frames import STATUSES, LidarFrame
+from streetscan.frames import CAMERA, STATUSES, LidarFrame
 from streetscan.inspection import Inspection, fix_track_m, project_points
 from streetscan.io.atomic import atomic_path
 from streetscan.io.images import decode_image
@@ -21,6 +21,7 @@ from streetscan.io.images import decode_image
 _STATUS_COLOURS = dict(zip(STATUSES, ("#2a7f3f", "#8c8c8c", "#d9a400", "#c0392b", "#8e44ad", "#1f1f1f", "#1f6fb2", "#e67e22"), strict=True))
 # ASSUME: what a street map is about lies within 40 m of the sensor; indoors, where nearly all is nearer, the view is as wide as that.
 _VIEW_M = 40.0
+_PAGE_INCHES = 10.0
 _SMALLEST_VIEW_M, _VIEW_STEP_M = 10.0, 5.0
 _CHANGES = {
     "same": ("#b5b5b5", "."), "moved": ("#d9a400", "^"), "other": ("#1f6fb2", "s"), "new": ("#2a7f3f", "P"), "gone": ("#c0392b", "x"),
@@ -195,31 +196,56 @@ def _changes(inspection: Inspection) -> plt.Figure:
 
 
 def _images(inspection: Inspection) -> str:
+    """The images of each pictured frame, those of several cameras side by side."""
     parts = []
-    model, T = inspection.camera_model, inspection.T_camera_lidar
-    if T is None:
-        T = _mounted_camera(inspection)
-    for row, image in inspection.images.items():
-        try:
-            pixels = decode_image(image)
-        except BadInput as error:
-            parts.append(f"<p>Frame {row}: {html.escape(str(error))}</p>")
+    for row, images in inspection.images.items():
+        pixels = {}
+        for name, image in sorted(images.items()):
+            try:
+                pixels[name] = decode_image(image)
+            except BadInput as error:
+                parts.append(f"<p>Frame {row}: {html.escape(str(error))}</p>")
+        if not pixels:
             continue
-        gap_ms = (image.time_ns * 1e-9 - inspection.frames["time_s"].iloc[row]) * 1e3
-        caption = f"Image of frame {row} ({gap_ms:+.1f} ms)"
-        figure, axis = plt.subplots(figsize=(10, 10 * pixels.shape[0] / pixels.shape[1]), layout="constrained")
-        axis.imshow(pixels)
-        if model is not None and T is not None:
-            uv, depths = project_points(inspection.pictured[row].points, T, model)
-            scale = pixels.shape[1] / model.width
-            axis.scatter(
-                *(uv * scale).T, s=2.0 if pixels.shape[1] > 800 else 3.0, c=depths, cmap="turbo_r", vmin=0, vmax=50, linewidths=0, alpha=0.8
-            )
-            caption += f", {len(uv)} lidar points in it, coloured by depth (red near, blue 50 m)"
-        axis.set_axis_off()
-        axis.set(xlim=(-0.5, pixels.shape[1] - 0.5), ylim=(pixels.shape[0] - 0.5, -0.5))
+        figure, axes = _image_axes([p.shape[1] / p.shape[0] for p in pixels.values()])
+        drawn = [_draw_image(axis, inspection, row, name, pixels[name]) for axis, name in zip(axes, pixels, strict=True)]
+        gap_ms = (images[next(iter(pixels))].time_ns * 1e-9 - inspection.frames["time_s"].iloc[row]) * 1e3
+        is_one = len(pixels) == 1
+        caption = f"{'Image' if is_one else 'Images'} of frame {row} ({gap_ms:+.1f} ms)" + ("" if is_one else f": {', '.join(pixels)}")
+        if any(n is not None for n in drawn):
+            n_points = sum(n or 0 for n in drawn)
+            caption += f", {n_points} lidar points in {'it' if is_one else 'them'}, coloured by depth (red near, blue 50 m)"
         parts.append(_figure(figure, caption + "."))
     return "".join(parts)
+
+
+def _image_axes(ratios: list[float]) -> tuple[plt.Figure, list[plt.Axes]]:
+    """Places for images of these widths over heights, at most three beside one another."""
+    n_columns = min(len(ratios), 3)
+    n_rows = -(-len(ratios) // n_columns)
+    size = _PAGE_INCHES, n_rows * _PAGE_INCHES / n_columns / min(ratios)
+    figure, axes = plt.subplots(n_rows, n_columns, figsize=size, squeeze=False, layout="constrained")
+    for axis in axes.flat[len(ratios) :]:
+        axis.set_axis_off()
+    return figure, list(axes.flat[: len(ratios)])
+
+
+def _draw_image(axis: plt.Axes, inspection: Inspection, row: int, name: str, pixels: np.ndarray) -> int | None:
+    """An image, and the points of its frame where model and place of the camera are known; how many they are."""
+    axis.imshow(pixels)
+    n_points, model = None, inspection.camera_models.get(name)
+    T = inspection.T_camera_lidar.get(name)
+    if T is None and name == CAMERA:
+        T = _mounted_camera(inspection)
+    if model is not None and T is not None:
+        uv, depths = project_points(inspection.pictured[row].points, T, model)
+        n_points, scale = len(uv), pixels.shape[1] / model.width
+        # As wide on the page as a point of a single image, and less where several share it.
+        size = (2.0 if pixels.shape[1] > 800 else 3.0) * (axis.get_position().width / 0.9) ** 2
+        axis.scatter(*(uv * scale).T, s=size, c=depths, cmap="turbo_r", vmin=0, vmax=50, linewidths=0, alpha=0.8)
+    axis.set_axis_off()
+    axis.set(xlim=(-0.5, pixels.shape[1] - 0.5), ylim=(pixels.shape[0] - 0.5, -0.5))
+    return n_points
 
 
 def _mounted_camera(inspection: Inspection) -> np.ndarray | None:

@@ -20,7 +20,7 @@ import yaml
 
 from streetscan import geodesy, geometry
 from streetscan.errors import BadInput
-from streetscan.frames import STATUSES, CameraImage, CameraModel, GpsFix, LidarFrame, Mounting, camera_model, nanoseconds
+from streetscan.frames import CAMERA, STATUSES, CameraImage, CameraModel, GpsFix, LidarFrame, Mounting, camera_model, nanoseconds
 from streetscan.io import folders, kitti, range_images, trajectories
 from streetscan.io.arrays import save_npy
 from streetscan.io.atomic import atomic_folder, atomic_path
@@ -389,24 +389,24 @@ def import_drive(recording: Recording, name: str, mcap_path: str | Path, frames_
         mcap_path: drive.mcap.
         frames_path: frames.csv, one row per message of `/lidar`, in this order, with its status.
         truth_folder: gets poses.csv and poses.tum, labels/<frame>.npy and instances/<frame>.npy (uint32, the source's ids, in the order
-            of the points), masks/<image>.npz (instances and labels of the pixels), as far as there is truth; and truth.yaml, with
-            the extrinsics, which says what there is.
+            of the points), masks/<image>.npz (instances and labels of the pixels; of one of several cameras in a folder of its name), as
+            far as there is truth; and truth.yaml, with the extrinsics, which says what there is.
     Returns:
         how many frames have each status.
     Raises:
         BadInput: the recording cannot be read, or not one of its frames is usable.
     """
     table = _FrameTable(recording.facts)
-    n_fixes, model = 0, recording.camera_model
+    n_fixes, models = 0, {} if recording.camera_model is None else {CAMERA: recording.camera_model}
     with atomic_folder(truth_folder) as truth, atomic_path(frames_path) as table_path, open_drive_writer(mcap_path) as writer:
         # What stands still has no stamp of its own and takes that of the next record.
-        still: list[Mounting | CameraModel] = [*recording.mountings, *([] if model is None else [model])]
+        still: list[Mounting | CameraModel] = [*recording.mountings, *models.values()]
         for record in recording.records():
             if isinstance(record, CameraModel):
                 # Cameras repeat their intrinsics with every image.
-                if model is None or not record.equals(model):
-                    model = record
-                    still.append(model)
+                if record.camera not in models or not record.equals(models[record.camera]):
+                    models[record.camera] = record
+                    still.append(record)
                 continue
             for item in still:
                 (writer.write_calibration if isinstance(item, CameraModel) else writer.write_mounting)(item, record.time_ns)
@@ -419,10 +419,12 @@ def import_drive(recording: Recording, name: str, mcap_path: str | Path, frames_
                         if (values := getattr(record, kind)) is not None:
                             save_npy(truth / kind / f"{table.n_frames - 1:06d}.npy", values)
                 case CameraImage():
+                    model = models.get(record.camera)
                     if record.status == "ok" and model is not None and model.width and image_size(record) != (model.width, model.height):
                         record.status = "other_size"
                     if record.instances is not None:
-                        with atomic_path(truth / "masks" / f"{table.n_images:06d}.npz") as partial, partial.open("wb") as stream:
+                        masks = truth_of_camera(truth, record.camera) / "masks"
+                        with atomic_path(masks / f"{table.n_images[record.camera]:06d}.npz") as partial, partial.open("wb") as stream:
                             np.savez_compressed(stream, instances=record.instances, labels=record.labels)
                     table.add_image(record)
                     if record.status == "ok":
@@ -459,14 +461,11 @@ class _FrameTable:
         self.n_unlabelled = 0
         self.image_ns: list[int] = []
         self.image_status: list[str] = []
+        self.n_images: Counter = Counter()
 
     @property
     def n_frames(self) -> int:
         return len(self.rows)
-
-    @property
-    def n_images(self) -> int:
-        return len(self.image_ns)
 
     def add_frame(self, frame: LidarFrame, pose: np.ndarray | None) -> None:
         assert frame.status in STATUSES
@@ -491,6 +490,7 @@ class _FrameTable:
     def add_image(self, image: CameraImage) -> None:
         self.image_ns.append(image.time_ns)
         self.image_status.append(image.status)
+        self.n_images[image.camera] += 1
 
     def write(self, path: str | Path) -> None:
         with Path(path).open("w", newline="") as stream:
@@ -503,8 +503,9 @@ class _FrameTable:
         """Time and status of the image nearest to each frame, within half a revolution."""
         if self._facts.camera is None:
             return [("nan", "none")] * self.n_frames
+        lacking = "nan", "not_rendered" if self._facts.reader == "simulate" else "missing"
         if not self.image_ns:
-            return [("nan", "missing")] * self.n_frames
+            return [lacking] * self.n_frames
         order = np.argsort(self.image_ns, kind="stable")
         images, frames = np.array(self.image_ns, np.int64)[order], np.array(self.time_ns, np.int64)
         after = np.clip(np.searchsorted(images, frames), 1, max(len(images) - 1, 1))
@@ -513,7 +514,7 @@ class _FrameTable:
         nearest = np.where(np.abs(images[after] - frames) < np.abs(images[before] - frames), after, before)
         is_near = np.abs(images[nearest] - frames) <= 0.5 * _NS / self._facts.rate_hz
         return [
-            (_seconds_text(int(images[i])), self.image_status[order[i]]) if near else ("nan", "missing")
+            (_seconds_text(int(images[i])), self.image_status[order[i]]) if near else lacking
             for i, near in zip(nearest, is_near, strict=True)
         ]
 
@@ -521,6 +522,11 @@ class _FrameTable:
     def images_lacking(self) -> Counter:
         """How many frames have no image, by the reason."""
         return Counter(status for _, status in self._images_of_frames() if status not in ("ok", "none"))
+
+
+def truth_of_camera(folder: Path, camera: str) -> Path:
+    """The folder for the truth of a camera's images within truth/: that of the one camera lies in truth/ itself."""
+    return folder if camera == CAMERA else folder / camera
 
 
 def _in_order(times_ns: list[int]) -> list[bool]:
@@ -582,7 +588,11 @@ def _log_summary(recording: Recording, table: _FrameTable, n_fixes: int) -> None
         logger.warning("%d of %d frames hold points and have no true labels", table.n_unlabelled, table.n_frames)
     if n_other := table.image_status.count("other_size"):
         logger.warning("%d images are of another size than the camera's calibration and were left out", n_other)
-    if lacking := table.images_lacking:
+    lacking = table.images_lacking
+    if n_between := lacking.pop("not_rendered", 0):
+        n_beside = table.n_frames - n_between - lacking.total()
+        logger.info("%d images were asked for, %d of %d frames have one beside them", len(table.image_ns), n_beside, table.n_frames)
+    if lacking:
         reasons = ", ".join(f"{n} {status}" for status, n in lacking.most_common())
         logger.warning("%d of %d frames have no image (%s)", lacking.total(), table.n_frames, reasons)
     if not n_fixes:

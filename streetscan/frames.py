@@ -77,12 +77,17 @@ class LidarFrame:
         return len(self.points)
 
 
+# The camera of a drive that has one; of several each has a name of its own, which begins so.
+CAMERA = "camera"
+
+
 @dataclass
 class CameraImage:
     """One compressed image.
 
     `time_ns` is the middle of its exposure, `format` is `png` or `jpeg`, status `ok`, `missing`, `unreadable`, or `other_size`
-    than its calibration. `instances` (H, W) uint32 and `labels` (H, W) uint8 are the true object and class of each pixel, or None;
+    than its calibration. `camera` is the name of the camera. `instances` (H, W) uint32 and `labels` (H, W) uint8 are the true object
+    and class of each pixel, or None;
     they never go into the drive's file.
     """
 
@@ -93,6 +98,7 @@ class CameraImage:
     source: str = ""
     instances: np.ndarray | None = None
     labels: np.ndarray | None = None
+    camera: str = CAMERA
 
 
 @dataclass
@@ -112,13 +118,14 @@ class GpsFix:
 
 @dataclass
 class CameraModel:
-    """Intrinsics of the camera, pixel centres at integers.
+    """Intrinsics of a camera, pixel centres at integers.
 
     Attributes:
         width, height: pixels.
         K: (3, 3) float64.
         D: distortion coefficients of `distortion_model` (`plumb_bob`, `rational_polynomial`, `kannala_brandt`; empty without distortion).
         P: (3, 4) float64, projection of the rectified image.
+        camera: its name.
     """
 
     width: int
@@ -127,9 +134,10 @@ class CameraModel:
     D: np.ndarray
     distortion_model: str
     P: np.ndarray
+    camera: str = CAMERA
 
     def equals(self, other: "CameraModel") -> bool:
-        """Whether two models are the same in every number."""
+        """Whether two models are the same, and of the same camera, in every number."""
         own, others = (dataclasses.astuple(model) for model in (self, other))
         return all(np.array_equal(a, b) for a, b in zip(own, others, strict=True))
 

@@ -9,10 +9,10 @@ import pandas as pd
 
 from streetscan import geodesy, geometry
 from streetscan.errors import BadInput
-from streetscan.frames import CameraImage, CameraModel, GpsFix, LidarFrame, Mounting
+from streetscan.frames import CAMERA, CameraImage, CameraModel, GpsFix, LidarFrame, Mounting
 from streetscan.io.arrays import load_npy
 from streetscan.io.files import find_file, read_yaml
-from streetscan.io.mcap import iterate_drive
+from streetscan.io.mcap import iterate_drive, read_topics
 from streetscan.io.trajectories import read_poses_csv
 
 # ASSUME: a pause of more than one and a half frames is a gap; jitter of a spinning lidar stays below a tenth.
@@ -28,26 +28,26 @@ class Inspection:
         frames: frames.csv, one row per lidar frame.
         fixes: table time_s, latitude_deg, longitude_deg, altitude_m.
         poses: (n, 4, 4) true poses in their map, NaN where unknown, or None.
-        camera_model: intrinsics or None.
+        camera_models: intrinsics by the name of the camera.
         mountings: what the user gave.
-        T_camera_lidar: true place of the camera, or None.
+        T_camera_lidar: true places of the cameras by name, as far as known.
         labels_ids: whose label ids the truth has, or None.
         crs: of the true poses, or None.
         labels: true classes (N,) uint8 of the pictured frames, by their row, where the truth has ours.
         changes: what became of each object of the street since the map's day (class, change, x_m, y_m), or None.
         pictured: a few whole lidar frames, evenly spread, by their row.
-        images: the image of each of them that has one.
+        images: of each of them that has one its nearest image by the name of the camera.
     """
 
     frames: pd.DataFrame
     fixes: pd.DataFrame
     poses: np.ndarray | None
-    camera_model: CameraModel | None
+    camera_models: dict[str, CameraModel]
     mountings: list[Mounting]
-    T_camera_lidar: np.ndarray | None
+    T_camera_lidar: dict[str, np.ndarray]
     labels_ids: str | None
     pictured: dict[int, LidarFrame]
-    images: dict[int, CameraImage]
+    images: dict[int, dict[str, CameraImage]]
     crs: str | None = None
     labels: dict[int, np.ndarray] = field(default_factory=dict)
     changes: pd.DataFrame | None = None
@@ -119,11 +119,11 @@ class Inspection:
             x, y, z = mounting.T_parent_child[:3, 3]
             roll, pitch, yaw = np.degrees(geometry.rpy_of_transform(mounting.T_parent_child))
             numbers[f"{mounting.child} in {mounting.parent}"] = f"{x:.3f}, {y:.3f}, {z:.3f} m; {roll:.2f}, {pitch:.2f}, {yaw:.2f} deg"
-        if self.camera_model is not None:
-            K = self.camera_model.K
-            numbers["camera"] = (
-                f"{self.camera_model.width} x {self.camera_model.height}, f {K[0, 0]:.1f}, {K[1, 1]:.1f}, "
-                f"centre {K[0, 2]:.1f}, {K[1, 2]:.1f} px, {'distorted' if np.any(self.camera_model.D) else 'no distortion'}"
+        for name, model in self.camera_models.items():
+            K = model.K
+            numbers[name] = (
+                f"{model.width} x {model.height}, f {K[0, 0]:.1f}, {K[1, 1]:.1f}, "
+                f"centre {K[0, 2]:.1f}, {K[1, 2]:.1f} px, {'distorted' if np.any(model.D) else 'no distortion'}"
             )
         return numbers
 
@@ -140,13 +140,12 @@ def inspect_drive(mcap_path: str | Path, frames_path: str | Path, truth_folder: 
     """
     frames = _read_frames(frames_path)
     rows = _pictured_rows(frames, n_pictured)
-    pictured, images, fixes, mountings, model = {}, {}, [], [], None
-    nearest_ns = dict.fromkeys(rows, 2**62)
+    pictured, images, fixes, mountings, models = {}, {}, [], [], {}
     # An image farther away than half a revolution shows another place.
     rows_with_image = [row for row in rows if frames["image_status"].iloc[row] == "ok"]
     stamps = {row: round(frames["time_s"].iloc[row] * 1e9) for row in rows}
     row = 0
-    for record in iterate_drive(mcap_path):
+    for record in iterate_drive(mcap_path, read_topics(mcap_path)):
         match record:
             case LidarFrame():
                 if row in stamps:
@@ -154,29 +153,30 @@ def inspect_drive(mcap_path: str | Path, frames_path: str | Path, truth_folder: 
                 row += 1
             case CameraImage():
                 for wanted in rows_with_image:
-                    stamp = stamps[wanted]
-                    if (gap := abs(record.time_ns - stamp)) < nearest_ns[wanted]:
-                        nearest_ns[wanted], images[wanted] = gap, record
+                    of_frame, stamp = images.setdefault(wanted, {}), stamps[wanted]
+                    nearest = of_frame.get(record.camera)
+                    if nearest is None or abs(record.time_ns - stamp) < abs(nearest.time_ns - stamp):
+                        of_frame[record.camera] = record
             case GpsFix():
                 fixes.append([record.time_ns * 1e-9, record.latitude_deg, record.longitude_deg, record.altitude_m])
             case Mounting():
                 mountings.append(record)
             case CameraModel():
-                model = record
+                models[record.camera] = record
     if row != len(frames):
         raise BadInput(frames_path, f"has {len(frames)} rows for {row} frames of {mcap_path}", "import the drive again")
     truth = read_yaml(Path(truth_folder) / "truth.yaml") if truth_folder is not None else {}
     poses = read_poses_csv(Path(truth_folder) / "poses.csv")[2] if truth.get("poses") else None
-    extrinsics = truth.get("extrinsics")
+    places = (truth.get("cameras") or {}) | ({CAMERA: truth["extrinsics"]} if truth.get("extrinsics") else {})
     ids = (truth.get("labels") or {}).get("ids")
     changes = None if truth_folder is None else Path(truth_folder) / "changes.csv"
     return Inspection(
         frames,
         pd.DataFrame(fixes, columns=["time_s", "latitude_deg", "longitude_deg", "altitude_m"]),
         poses,
-        model,
+        models,
         mountings,
-        None if extrinsics is None else np.array(extrinsics["T_camera_lidar"]),
+        {name: np.array(place["T_camera_lidar"]) for name, place in places.items()},
         ids,
         pictured,
         images,
@@ -184,8 +184,14 @@ def inspect_drive(mcap_path: str | Path, frames_path: str | Path, truth_folder: 
         {row: load_npy(Path(truth_folder) / "labels" / f"{row:06d}.npy", "simulate_drive").astype(np.uint8) for row in pictured}
         if ids == "streetscan"
         else {},
-        pd.read_csv(changes) if changes is not None and changes.is_file() else None,
+        _read_changes(changes) if changes is not None and changes.is_file() else None,
     )
+
+
+def _read_changes(path: Path) -> pd.DataFrame | None:
+    """The table of changes; None where nothing can have changed, on the day of the map."""
+    changes = pd.read_csv(path)
+    return changes if len(changes) else None
 
 
 def project_points(points_lidar: np.ndarray, T_camera_lidar: np.ndarray, model: CameraModel) -> tuple[np.ndarray, np.ndarray]:
@@ -236,15 +242,15 @@ def _read_frames(path: str | Path) -> pd.DataFrame:
 
 
 def _pictured_rows(frames: pd.DataFrame, n: int) -> list[int]:
-    """Rows spread evenly over the frames that are whole and have an image; failing that whole; failing that with points."""
+    """Rows spread evenly over whole frames that have an image; where those are too few also others that are whole, then any with points."""
     has_points, is_whole = frames["n_points"].to_numpy() > 0, (frames["status"] == "ok").to_numpy()
     has_image = (frames["image_status"] == "ok").to_numpy()
+    chosen: list[int] = []
     for wanted in (has_points & is_whole & has_image, has_points & is_whole, has_points):
-        candidates = np.flatnonzero(wanted)
-        if len(candidates) >= n:
-            break
-    chosen = candidates[np.unique(np.linspace(0, len(candidates) - 1, n).round().astype(int))] if len(candidates) else []
-    return [int(row) for row in chosen]
+        candidates = np.setdiff1d(np.flatnonzero(wanted), chosen)
+        places = np.linspace(0, len(candidates) - 1, n - len(chosen)).round().astype(int)
+        chosen += [int(row) for row in candidates[np.unique(places)]] if len(candidates) else []
+    return sorted(chosen)
 
 
 def _counts(values: pd.Series) -> str:

@@ -9,13 +9,13 @@ from pathlib import Path
 import numpy as np
 
 from streetscan.errors import BadInput
-from streetscan.frames import CameraImage, CameraModel, GpsFix, LidarFrame, Mounting
+from streetscan.frames import CAMERA, CameraImage, CameraModel, GpsFix, LidarFrame, Mounting
 from streetscan.io import kitti, trajectories
 from streetscan.io.arrays import load_npy
 from streetscan.io.atomic import atomic_folder, atomic_path
 from streetscan.io.files import read_text, read_yaml
 from streetscan.io.images import decode_image, encode_png
-from streetscan.io.mcap import iterate_drive, open_drive_writer, read_metadata
+from streetscan.io.mcap import iterate_drive, open_drive_writer, read_metadata, read_topics
 from streetscan.io.pcd_sequence import write_pcd_frame
 
 # What a drive may hold, and how each format keeps it; what is not named here is lost.
@@ -48,16 +48,18 @@ KEPT = {
         "images": "/camera/image",
         "intrinsics": "/camera/calibration",
         "distortion": "/camera/calibration",
+        "further cameras": "topics of their own",
         "gps": "/gps",
         "mounting": "/tf",
         "origin": "metadata streetscan",
     },
 }
 # "date" is when the first frame was taken, "frame status" that of the frames that are not `ok` in the frames.csv beside the drive;
-# "further images" are those a format with one image per frame has no number for; "origin" is the drive's description, source and licence.
+# "further images" are those a format with one image per frame has no number for, "further cameras" images of cameras other than
+# `/camera`; "origin" is the drive's description, source and licence.
 CONTENTS = (
     "points", "intensity", "ring", "firing times", "stamps", "images", "image stamps", "intrinsics", "distortion", "gps", "mounting",
-    "true poses", "true labels", "true extrinsics", "further images", "date", "frame status", "origin",
+    "true poses", "true labels", "true extrinsics", "further images", "further cameras", "date", "frame status", "origin",
 )  # fmt: skip
 # MCAP keeps the stamp of every image of its own.
 KEPT["mcap"]["image stamps"] = "/camera/image"
@@ -84,7 +86,9 @@ def export_drive(
     if format not in writers:
         raise BadInput("format", f"'{format}'", f"choose one of {', '.join(writers)}")
     present: dict[str, int] = dict.fromkeys(CONTENTS, 0)
-    records = _counted(_in_range(iterate_drive(mcap_path), frames), present, mcap_path)
+    records = _counted(_in_range(iterate_drive(mcap_path, read_topics(mcap_path)), frames), present, mcap_path)
+    if "further cameras" not in KEPT[format]:
+        records = (r for r in records if getattr(r, "camera", CAMERA) == CAMERA)
     truth = None if truth_folder is None else _Truth(Path(truth_folder), present)
     writers[format](records, Path(output), truth, present)
     present["origin"] = int(bool(origin))
@@ -157,7 +161,9 @@ def _counted(records: Iterable, present: dict[str, int], where: str | Path) -> I
                     if v is not None
                 ]
             case CameraImage():
-                names = ["images", "image stamps"]
+                names = ["images", "image stamps"] if record.camera == CAMERA else ["further cameras"]
+            case CameraModel() if record.camera != CAMERA:
+                names = []
             case CameraModel():
                 names = ["intrinsics"] + (["distortion"] if np.any(record.D) else [])
             case GpsFix():

@@ -1,9 +1,11 @@
 """Drives as MCAP with Foxglove schemas: the one form every recording is brought into, and other people's MCAP files.
 
 Topics: `/lidar` foxglove.PointCloud (x, y, z, and as known intensity, time_offset_s, ring), `/camera/image` foxglove.CompressedImage,
-`/camera/calibration` foxglove.CameraCalibration, `/gps` foxglove.LocationFix, `/tf` foxglove.FrameTransform.
+`/camera/calibration` foxglove.CameraCalibration, `/gps` foxglove.LocationFix, `/tf` foxglove.FrameTransform. Where there are
+several cameras, each has its own name in place of `camera`: `/camera_1/image`, `/camera_1/calibration`.
 """
 
+import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -26,13 +28,14 @@ from mcap_protobuf.writer import Writer
 
 from streetscan import geometry
 from streetscan.errors import BadInput
-from streetscan.frames import CameraImage, CameraModel, GpsFix, LidarFrame, Mounting, camera_model
+from streetscan.frames import CAMERA, CameraImage, CameraModel, GpsFix, LidarFrame, Mounting, camera_model
 from streetscan.io.atomic import atomic_path
 from streetscan.io.files import open_binary
 from streetscan.io.images import check_image
 from streetscan.io.point_columns import LidarConventions, frame_of_columns
 
-LIDAR, IMAGE, CALIBRATION, GPS, TF = "/lidar", "/camera/image", "/camera/calibration", "/gps", "/tf"
+LIDAR, IMAGE, CALIBRATION, GPS, TF = "/lidar", f"/{CAMERA}/image", f"/{CAMERA}/calibration", "/gps", "/tf"
+_OF_CAMERA = re.compile(rf"/({CAMERA}\w*)/(image|calibration)")
 Record = LidarFrame | CameraImage | CameraModel | GpsFix | Mounting
 
 _N = PackedElementField
@@ -80,15 +83,15 @@ class DriveWriter:
         self._n_lidar += 1
 
     def write_image(self, image: CameraImage) -> None:
-        """Append an image to `/camera/image`, its bytes as they are."""
-        message = CompressedImage(timestamp=_timestamp(image.time_ns), frame_id="camera", data=image.data, format=image.format)
-        self._write(IMAGE, message, image.time_ns)
+        """Append an image to `/camera/image`, or the topic of its own camera, its bytes as they are."""
+        message = CompressedImage(timestamp=_timestamp(image.time_ns), frame_id=image.camera, data=image.data, format=image.format)
+        self._write(f"/{image.camera}/image", message, image.time_ns)
 
     def write_calibration(self, model: CameraModel, time_ns: int) -> None:
-        """Append the camera's intrinsics to `/camera/calibration`."""
+        """Append a camera's intrinsics to `/camera/calibration`, or the topic of its own."""
         message = CameraCalibration(
             timestamp=_timestamp(time_ns),
-            frame_id="camera",
+            frame_id=model.camera,
             width=model.width,
             height=model.height,
             distortion_model=model.distortion_model,
@@ -97,7 +100,7 @@ class DriveWriter:
             R=np.eye(3).ravel().tolist(),
             P=np.asarray(model.P, float).ravel().tolist(),
         )
-        self._write(CALIBRATION, message, time_ns)
+        self._write(f"/{model.camera}/calibration", message, time_ns)
 
     def write_fix(self, fix: GpsFix) -> None:
         """Append a position to `/gps`, with the heading where the receiver tells one."""
@@ -163,7 +166,7 @@ def iterate_drive(
 
     Args:
         path: a drive's MCAP file.
-        topics: which of its topics.
+        topics: which of its topics; `read_topics` lists those of further cameras too.
         start_ns, end_ns: only records from `start_ns` on and before `end_ns`; found through the index.
     Raises:
         BadInput: no such file, no MCAP, cut short or damaged.
@@ -184,6 +187,13 @@ def iterate_images(path: str | Path, start_ns: int | None = None, end_ns: int | 
 def read_camera_model(path: str | Path) -> CameraModel | None:
     """The camera's intrinsics in a drive, or None when it has none."""
     return next(iterate_drive(path, (CALIBRATION,)), None)
+
+
+def read_topics(path: str | Path) -> tuple[str, ...]:
+    """The topics of a drive that `iterate_drive` reads, those of all its cameras among them; BadInput when the file is damaged."""
+    with open_mcap(Path(path), ()) as reader:
+        present = {channel.topic for channel in reader.get_summary().channels.values()}
+    return tuple(sorted(topic for topic in present if topic in (LIDAR, GPS, TF) or _OF_CAMERA.fullmatch(topic)))
 
 
 def read_metadata(path: str | Path, name: str) -> dict[str, str]:
@@ -241,6 +251,8 @@ def iterate_mcap(
             if isinstance(record, LidarFrame):
                 record.number = n_frames
                 n_frames += 1
+            elif isinstance(record, CameraImage | CameraModel) and (named := _OF_CAMERA.fullmatch(channel.topic)) and convert_ros is None:
+                record.camera = named[1]
             # A drive's own images were looked at when it was imported.
             yield check_image(record) if isinstance(record, CameraImage) and convert_ros is not None else record
 

@@ -8,7 +8,7 @@ Source: Nagy (2020), 4.1.2 (FLIR Blackfly USB3, 1288 x 964, 25-30 pictures a sec
 mapping vehicle).
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 
 import cv2
@@ -125,18 +125,6 @@ def mount_camera(position_m: tuple[float, float, float], yaw_deg: float = 0.0, p
     T[:3, :3] = Rotation.from_euler("ZYX", [yaw_deg, pitch_deg, roll_deg], degrees=True).as_matrix() @ _FORWARD
     T[:3, 3] = position_m
     return T
-
-
-# The mapping vehicle's six cameras: name, T_vehicle_camera, camera.
-# ASSUME: a ring of five at 72 degrees, upright, and one that looks up to facades; the thesis says "up to six".
-_RING = Camera(width=964, height=1288, focal_px=800.0, distortion=(-0.10, 0.02, 2e-4, -1e-4))
-MAPPING_CAMERAS = {
-    **{
-        f"ring_{i}": (mount_camera((-1.2 + 0.25 * np.cos(a), 0.25 * np.sin(a), 2.55), np.degrees(a)), _RING)
-        for i, a in enumerate(2 * np.pi * np.arange(5) / 5)
-    },
-    "up": (mount_camera((-1.2, 0.0, 2.75), 0.0, -90.0), replace(_RING, focal_px=600.0)),
-}
 
 
 def project(points_camera: np.ndarray, model: CameraModel) -> np.ndarray:
@@ -301,8 +289,9 @@ def _expose(lighting: Lighting, camera: Camera, poses: _Poses, rng: np.random.Ge
     # The blur of a fast object reaches half its way beyond its mid-exposure outline.
     reach = int(on_ways.max()) // 2
     flat = np.maximum(on_edges, cv2.dilate(on_ways, np.ones((2 * reach + 1,) * 2, np.uint8))).ravel().astype(np.int64)
-    rows = np.repeat(np.arange(n), flat)
-    number = np.arange(len(rows)) - np.repeat(np.cumsum(flat) - flat, flat)
+    order = _tiles(*shape)
+    rows = np.repeat(order, flat[order])
+    number = np.arange(len(rows)) - np.repeat(np.cumsum(flat[order]) - flat[order], flat[order])
     shifts = rng.random((n, 3))[rows]
     # Evenly spread in the pixel (the R2 sequence) and in time, shifted by chance from pixel to pixel.
     jitter = (shifts[:, :2] + np.outer(number, [0.7548776662, 0.5698402910])) % 1.0 - 0.5
@@ -313,6 +302,13 @@ def _expose(lighting: Lighting, camera: Camera, poses: _Poses, rng: np.random.Ge
         for k in range(3):
             total[:, k] += np.bincount(rows[part], more.radiance[:, k], minlength=n)
     return (total / (1 + flat)[:, None]).reshape(*shape, 3), faces
+
+
+@lru_cache(maxsize=8)
+def _tiles(height: int, width: int, side: int = 16) -> np.ndarray:
+    """(height * width,) pixels tile after tile: rays that follow one another then meet the same things, and are cheap to cast together."""
+    i, j = np.divmod(np.arange(height * width), width)
+    return np.lexsort((j, i, j // side, i // side))
 
 
 def _trace(lighting: Lighting, camera: Camera, poses: _Poses, pixels, jitter, share, shape=None, openness=None):
@@ -399,19 +395,15 @@ def _count_rays(
             if is_edge:
                 on_edges[i, j] = edge_rays
             # How far the place moves in the picture from the exposure's start to its end.
-            first, last = np.zeros(3), np.zeros(3)
-            for k in range(3):
-                first[k] = last[k] = points[i, j, k]
             if face >= 0:
-                if actors[i, j] >= 0:
-                    for k in range(3):
-                        first[k] -= 0.5 * (late[i, j, k] - early[i, j, k])
-                        last[k] += 0.5 * (late[i, j, k] - early[i, j, k])
-                before = rotations[0].T @ (first - origins[0])
-                after = rotations[-1].T @ (last - origins[-1])
-                dx = before[0] / max(before[2], 0.1) - after[0] / max(after[2], 0.1)
-                dy = before[1] / max(before[2], 0.1) - after[1] / max(after[2], 0.1)
-                moved = focal_px * np.sqrt(dx * dx + dy * dy)
+                ax, ay, az, bx, by, bz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+                for k in range(3):
+                    half = 0.5 * (late[i, j, k] - early[i, j, k]) if actors[i, j] >= 0 else 0.0
+                    first, last = points[i, j, k] - half - origins[0, k], points[i, j, k] + half - origins[-1, k]
+                    ax, ay, az = ax + rotations[0, k, 0] * first, ay + rotations[0, k, 1] * first, az + rotations[0, k, 2] * first
+                    bx, by, bz = bx + rotations[-1, k, 0] * last, by + rotations[-1, k, 1] * last, bz + rotations[-1, k, 2] * last
+                az, bz = max(az, 0.1), max(bz, 0.1)
+                moved = focal_px * np.sqrt((ax / az - bx / bz) ** 2 + (ay / az - by / bz) ** 2)
                 # Up to a pixel's way the ray at mid-exposure does.
                 on_ways[i, j] = min(np.int64(np.ceil(max(moved - 0.9, 0.0))), blur_rays)
     return on_edges, on_ways

@@ -224,7 +224,7 @@ class Lighting:
             p, n, t = points[part].reshape(-1, 3), normals[part].reshape(-1, 3), times[part].ravel()
             there = np.isfinite(p[:, 0])
             rays = _hemisphere(n[there], k)
-            hits = self.caster.cast(p[there] + _LIFT_M * n[there] + self.caster.origin, rays, t[there])
+            hits = self.caster.cast(p[there] + _LIFT_M * n[there] + self.caster.origin, rays, t[there], _REACH_M)
             free = np.ones(len(p), np.float32)
             free[there] = np.minimum(hits.distances_m / _REACH_M, 1.0)
             values[part] = free.reshape(values[part].shape)

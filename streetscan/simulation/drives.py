@@ -19,9 +19,9 @@ import pandas as pd
 
 from streetscan import geometry
 from streetscan.classes import NAMES
-from streetscan.drives import CameraFacts, DriveFacts, Record, TruthFacts
+from streetscan.drives import CameraFacts, DriveFacts, Record, TruthFacts, truth_of_camera
 from streetscan.errors import BadInput
-from streetscan.frames import CameraImage, CameraModel, LidarFrame, Mounting, nanoseconds
+from streetscan.frames import CAMERA, CameraImage, LidarFrame, Mounting, nanoseconds
 from streetscan.io.atomic import atomic_path
 from streetscan.io.tables import save_tables
 from streetscan.io.trajectories import write_poses_csv, write_tum
@@ -32,13 +32,16 @@ from streetscan.simulation.gps import Gps, record_fixes
 from streetscan.simulation.layout import build_street
 from streetscan.simulation.raycasting import SceneCaster
 from streetscan.simulation.receiver import Receiver
-from streetscan.simulation.recording import Trajectory, drive_road, without_collisions
+from streetscan.simulation.recording import Trajectory, drive_road, replay_pass, without_collisions
 from streetscan.simulation.rotating_lidar import HDL64E_RECEIVER, RotatingLidar, nominal_beams, read_beams, record_frame
 from streetscan.simulation.scene import Actor, Scene
 
 logger = logging.getLogger(__name__)
 _LOG_EVERY_S = 10.0
 _NS = 1_000_000_000
+# The place of a drive that is the mapping vehicle's own, on the day of the map.
+_MAPPING = "mapping"
+CHANGE_COLUMNS = ["class", "change", "name", "instance", "instance_before", "x_m", "y_m", "moved_m"]
 
 
 @dataclass(frozen=True)
@@ -76,6 +79,10 @@ class CameraMount:
         roll_deg, pitch_deg, yaw_deg = self.rpy_deg
         return mount_camera(self.xyz_m, yaw_deg, pitch_deg, roll_deg)
 
+    @property
+    def lens(self) -> Camera:
+        return Camera(**{k: tuple(v) if isinstance(v, list) else v for k, v in self.settings.items()})
+
     def image_times(self, end_s: float) -> list[tuple[float, bool]]:
         """Mid-exposures of the images rendered of a drive until `end_s`, and whether each follows the one before at the full rate.
 
@@ -100,7 +107,7 @@ class SimulatedDrive:
     split: str
     place: str
     n_frames: int
-    speed_kmh: float
+    speed_kmh: float | None = None
     start_m: float = 0.0
     number: int = 0
     backwards: bool = False
@@ -109,14 +116,20 @@ class SimulatedDrive:
     day: Day = field(default_factory=Day)
     lidar: dict = field(default_factory=dict)
     gps: Gps = field(default_factory=Gps)
-    camera: "CameraMount | None" = None
+    cameras: dict[str, CameraMount] = field(default_factory=dict)
+
+    @property
+    def is_mapping(self) -> bool:
+        return self.place == _MAPPING
 
 
 def read_simulation(values: dict) -> SimulatedDrive:
-    """The section as read from YAML, checked against the schema before."""
-    parts = {"day": Day, "gps": Gps, "camera": CameraMount}
+    """The section as read from YAML, checked against the schema before; the one `camera` becomes the camera of that name."""
+    parts = {"day": Day, "gps": Gps}
     plain = {k: tuple(v) if isinstance(v, list) else v for k, v in values.items()}
-    return SimulatedDrive(**{k: parts[k](**v) if k in parts else v for k, v in plain.items()})
+    one = {CAMERA: plain.pop(CAMERA)} if CAMERA in plain else {}
+    cameras = {name: CameraMount(**mount) for name, mount in (one | plain.pop("cameras", {})).items()}
+    return SimulatedDrive(**{k: parts[k](**v) if k in parts else v for k, v in plain.items()}, cameras=cameras)
 
 
 class SimulatedRecording:
@@ -141,27 +154,31 @@ class SimulatedRecording:
         self._seed = zlib.crc32(f"{seed} {name}".encode())
         self.path = facts.where
         exact = {"source": "simulated: exact"}
-        truth = TruthFacts(labels={"ids": "streetscan"}, poses=exact, extrinsics=exact if drive.camera else None)
-        self.facts = replace(facts, truth=truth, camera=CameraFacts() if drive.camera else None)
+        truth = TruthFacts(labels={"ids": "streetscan"}, poses=exact, extrinsics=exact if CAMERA in drive.cameras else None)
+        self.facts = replace(facts, truth=truth, camera=CameraFacts() if drive.cameras else None)
         self.mountings = [
             Mounting(m["parent"], m["child"], geometry.transform(m["xyz_m"], np.radians(m["rpy_deg"])), m["source"]) for m in facts.mounting
         ]
         self._start_ns = nanoseconds(facts.start_time_s)
         self._lidar = _make_lidar(drive.lidar, facts.rate_hz, data_root, seed)
-        self.camera_model: CameraModel | None = None
-        self.T_camera_lidar: np.ndarray | None = None
-        if drive.camera is not None:
-            settings = {k: tuple(v) if isinstance(v, list) else v for k, v in drive.camera.settings.items()}
-            self._camera, self._daylight = Camera(**settings), Daylight(**drive.camera.daylight)
-            self.camera_model = self._camera.model
-            self.T_camera_lidar = geometry.invert(drive.camera.T_vehicle_camera) @ self._lidar.T_vehicle_lidar
+        self._lenses = {name: mount.lens for name, mount in drive.cameras.items()}
+        self._daylights = {name: Daylight(**mount.daylight) for name, mount in drive.cameras.items()}
+        self._exposures: dict[str, AutoExposure] = {}
+        one = drive.cameras.get(CAMERA)
+        self.camera_model = None if one is None else self._lenses[CAMERA].model
+        self.T_camera_lidar = None if one is None else self._place_of(one)
         self._end_s = drive.n_frames / facts.rate_hz
 
         changed = street if drive.traffic_density is None else street | {"traffic_density": drive.traffic_density}
-        span_s = (-10.0, self._end_s + 5.0)
-        scene = build_street(split=drive.split, seed=seed, day=drive.day, time_span_s=span_s, block=drive.blocks, **changed)
+        if drive.is_mapping:
+            block = drive.blocks[0] if drive.blocks else 0
+            scene, self._trajectory = replay_pass(drive.split, seed, changed, block)
+            _check_length(self._trajectory, drive, self._end_s, facts.where)
+        else:
+            span_s = (-10.0, self._end_s + 5.0)
+            scene = build_street(split=drive.split, seed=seed, day=drive.day, time_span_s=span_s, block=drive.blocks, **changed)
+            self._trajectory = _plan(scene, drive, self._end_s, self._seed, facts.where)
         self._crs = scene.crs
-        self._trajectory = _plan(scene, drive, self._end_s, self._seed, facts.where)
         self._scene = without_collisions(scene, self._trajectory)
         self._caster = SceneCaster(self._scene, 0.0, self._end_s, n_threads)
         inputs = [asdict(drive), facts.rate_hz, facts.start_time_s, street, seed, name]
@@ -182,20 +199,23 @@ class SimulatedRecording:
         events: list[tuple[int, Callable]] = [(fix.time_ns, lambda f=fix: f) for fix in fixes]
         for n in range(self._drive.n_frames):
             events.append((self._start_ns + round(self._lidar.stamp_s(n) * _NS), lambda n=n: self._frame(n)))
-        for n, (time_s, is_next) in enumerate(self._image_times()):
-            events.append((self._stamp_of_image(time_s), lambda n=n, t=time_s, i=is_next: self._image(n, t, i)))
+        for name, mount in self._drive.cameras.items():
+            for n, (time_s, is_next) in enumerate(mount.image_times(self._end_s)):
+                events.append((self._stamp_of_image(mount, time_s), lambda c=name, n=n, t=time_s, i=is_next: self._image(c, n, t, i)))
         progress = _Progress(len(events))
+        yield from (replace(lens.model, camera=name) for name, lens in self._lenses.items())
         for time_ns, make in sorted(events, key=lambda event: event[0]):
             record = make()
             record.time_ns = time_ns
             progress.step()
             yield record
 
-    def _image_times(self) -> list[tuple[float, bool]]:
-        return [] if self._drive.camera is None else self._drive.camera.image_times(self._end_s)
+    def _stamp_of_image(self, mount: CameraMount, time_s: float) -> int:
+        return self._start_ns + round((time_s + mount.time_offset_s) * _NS)
 
-    def _stamp_of_image(self, time_s: float) -> int:
-        return self._start_ns + round((time_s + self._drive.camera.time_offset_s) * _NS)
+    def _place_of(self, mount: CameraMount) -> np.ndarray:
+        """T_camera_lidar (4, 4)."""
+        return geometry.invert(mount.T_vehicle_camera) @ self._lidar.T_vehicle_lidar
 
     def write_truth(self, folder: Path, times_ns: list[int]) -> dict:
         """Write the vehicle's trajectory, the objects' motion and what changed in the street; says in a mapping what there is."""
@@ -205,7 +225,7 @@ class SimulatedRecording:
         write_tum(folder / "trajectory.tum", times_s + self._start_ns / _NS, self._vehicle_poses(times_s))
         save_tables({
             folder / "objects.csv": _tabulate_objects(self._scene.actors, [(t - self._start_ns) / _NS for t in times_ns], times_ns),
-            folder / "changes.csv": pd.DataFrame(self._scene.changes),
+            folder / "changes.csv": pd.DataFrame(self._scene.changes, columns=CHANGE_COLUMNS),
         })  # fmt: skip
         with atomic_path(folder / "changes.json") as partial:
             partial.write_text(json.dumps(count_changes(self._scene.changes), indent=1) + "\n")
@@ -214,19 +234,29 @@ class SimulatedRecording:
             "instances": {"type": "uint32, one file per frame, in the order of the points; 0 is none"},
             "trajectory": {"file": "trajectory.tum", "frame": "T_map_vehicle; firings lie between its poses, which are linear in time"},
         }
-        if (camera := self._drive.camera) is not None:
-            mountings["T_vehicle_camera"] = camera.T_vehicle_camera
-            shown_s = np.array([t for t, _ in self._image_times()])
-            stamps_s = np.array([self._stamp_of_image(t) for t in shown_s]) / _NS
-            poses = self._vehicle_poses(shown_s) @ camera.T_vehicle_camera
-            write_poses_csv(folder / "camera_poses.csv", np.arange(len(shown_s)), stamps_s, poses)
+        if self._drive.cameras:
             contents["masks"] = {"type": "instances uint32 and labels uint8 of the pixels, one file per image in order of time"}
-            contents["extrinsics"] = {
-                "T_camera_lidar": self.T_camera_lidar.tolist(),
-                "time_offset_s": camera.time_offset_s,
-                "source": "simulated: exact; images' stamps are time_offset_s ahead of the lidar's clock",
-            }
+        places = {name: self._write_camera_truth(folder, name, mount) for name, mount in self._drive.cameras.items()}
+        mountings |= {f"T_vehicle_{name}": mount.T_vehicle_camera for name, mount in self._drive.cameras.items()}
+        if CAMERA in places:
+            contents["extrinsics"] = places.pop(CAMERA)
+        if places:
+            contents["cameras"] = places
         return contents | {"mountings": {name: T.tolist() for name, T in mountings.items()}}
+
+    def _write_camera_truth(self, folder: Path, name: str, mount: CameraMount) -> dict:
+        """Write where a camera was at each of its images; says where it sits."""
+        shown_s = np.array([t for t, _ in mount.image_times(self._end_s)])
+        stamps_s = np.array([self._stamp_of_image(mount, t) for t in shown_s]) / _NS
+        poses = self._vehicle_poses(shown_s) @ mount.T_vehicle_camera
+        of_camera = truth_of_camera(folder, name)
+        of_camera.mkdir(exist_ok=True)
+        write_poses_csv(of_camera / "camera_poses.csv", np.arange(len(shown_s)), stamps_s, poses)
+        return {
+            "T_camera_lidar": self._place_of(mount).tolist(),
+            "time_offset_s": mount.time_offset_s,
+            "source": "simulated: exact; images' stamps are time_offset_s ahead of the lidar's clock",
+        }
 
     def _vehicle_poses(self, times_s: np.ndarray) -> np.ndarray:
         """T_map_vehicle (n, 4, 4)."""
@@ -241,20 +271,22 @@ class SimulatedRecording:
         columns = self._keep(f"lidar_{number:06d}", make)
         return LidarFrame(0, **columns, number=number, status="ok" if len(columns["points"]) else "empty")
 
-    def _image(self, number: int, time_s: float, is_next: bool) -> CameraImage:
-        view = self._caster, self._trajectory, self._drive.camera.T_vehicle_camera, self._camera, time_s
+    def _image(self, name: str, number: int, time_s: float, is_next: bool) -> CameraImage:
+        mount, daylight = self._drive.cameras[name], self._daylights[name]
+        view = self._caster, self._trajectory, mount.T_vehicle_camera, self._lenses[name], time_s
+        of_camera = [] if name == CAMERA else [zlib.crc32(name.encode())]
 
         def make() -> dict:
             # The automatic follows the light within a window, and has settled before it begins.
-            auto = self._exposure if is_next else settle_exposure(*view, self._daylight)
-            image = render(*view, auto, np.random.default_rng([self._seed, 3, number]), self._daylight)
-            quality = [cv2.IMWRITE_JPEG_QUALITY, self._drive.camera.jpeg_quality]
+            auto = self._exposures[name] if is_next else settle_exposure(*view, daylight)
+            image = render(*view, auto, np.random.default_rng([self._seed, 3, number, *of_camera]), daylight)
+            quality = [cv2.IMWRITE_JPEG_QUALITY, mount.jpeg_quality]
             data = cv2.imencode(".jpg", image.rgb[..., ::-1], quality)[1]
             return {"data": data, "instances": image.instances, "labels": image.classes, "exposure": [auto.exposure_s, auto.gain]}
 
-        kept = self._keep(f"image_{number:06d}", make)
-        self._exposure = AutoExposure(*(float(v) for v in kept["exposure"]))
-        return CameraImage(0, kept["data"].tobytes(), "jpeg", instances=kept["instances"], labels=kept["labels"])
+        kept = self._keep(f"{name}_{number:06d}", make)
+        self._exposures[name] = AutoExposure(*(float(v) for v in kept["exposure"]))
+        return CameraImage(0, kept["data"].tobytes(), "jpeg", instances=kept["instances"], labels=kept["labels"], camera=name)
 
     def _keep(self, name: str, make: Callable[[], dict]) -> dict[str, np.ndarray]:
         """Arrays made now, or by a run that was stopped."""
@@ -285,7 +317,7 @@ class _Progress:
 
 def count_changes(changes: list[dict]) -> dict:
     """How many objects of each class stayed, moved, went, are others or new; and the share of the map's objects that stayed."""
-    table = pd.DataFrame(changes, columns=["class", "change"])
+    table = pd.DataFrame(changes, columns=CHANGE_COLUMNS)
     counts = pd.crosstab(table["class"], table["change"])
     result = {}
     for name, row in counts.iterrows():
@@ -314,10 +346,14 @@ def _plan(scene: Scene, drive: SimulatedDrive, duration_s: float, seed: int, whe
     start = np.array([np.interp(drive.start_m, along, line[:, i]) for i in range(3)])
     road = np.concatenate([[start], line[along > drive.start_m + 0.1]])
     trajectory = drive_road(road, drive.speed_kmh, scene.lane_offset_m, 0.0, np.random.default_rng([seed, 2]))
+    _check_length(trajectory, drive, duration_s, where)
+    return trajectory
+
+
+def _check_length(trajectory: Trajectory, drive: SimulatedDrive, duration_s: float, where: object) -> None:
     if trajectory.end_s < duration_s:
         found = f"{drive.n_frames} frames take {duration_s:.1f} s, the drive is over after {trajectory.end_s:.1f} s"
         raise BadInput(where, found, "take fewer frames, drive slower or start earlier")
-    return trajectory
 
 
 def _tabulate_objects(actors: list[Actor], times_s: list[float], times_ns: list[int]) -> pd.DataFrame:

@@ -116,20 +116,21 @@ class SceneCaster:
             np.concatenate([getattr(m, n) for m in (static, *meshes)]) for n in _TABLES
         )
 
-    def cast(self, origins: np.ndarray, directions: np.ndarray, times_s: np.ndarray) -> Hits:
+    def cast(self, origins: np.ndarray, directions: np.ndarray, times_s: np.ndarray, reach_m: float = np.inf) -> Hits:
         """The nearest hit of each ray at its own time.
 
         Args:
             origins: (n, 3) float64, metres, frame `map`.
             directions: (n, 3) float32 unit vectors, frame `map`.
             times_s: (n,) float64.
+            reach_m: moving actors beyond it may be left out, which is cheaper; what is nearer is exact.
         """
         local = origins - self.origin
         rays = np.concatenate([local.astype(np.float32), directions], axis=1, dtype=np.float32)
         distances, faces, cosines = self._cast_tree(self._static, rays)
         hits = Hits(distances, faces, np.full(len(rays), -1, np.int16), cosines)
         if self.moving and len(rays):
-            self._cast_actors(local, rays[:, 3:], np.asarray(times_s, np.float64), hits)
+            self._cast_actors(local, rays[:, 3:], np.asarray(times_s, np.float64), hits, reach_m)
         return hits
 
     def is_blocked(self, origins: np.ndarray, directions: np.ndarray, times_s: np.ndarray) -> np.ndarray:
@@ -209,11 +210,12 @@ class SceneCaster:
         cosines[faces < 0] = 0
         return found["t_hit"].numpy(), faces, cosines
 
-    def _cast_actors(self, local: np.ndarray, directions: np.ndarray, times_s: np.ndarray, hits: Hits) -> None:
-        """Put the hits on moving actors into `hits` where they are nearer."""
+    def _cast_actors(self, local: np.ndarray, directions: np.ndarray, times_s: np.ndarray, hits: Hits, reach_m: float = np.inf) -> None:
+        """Put the hits on moving actors into `hits` where they are nearer; those beyond `reach_m` may be left out."""
         tables = *self._paths, self._spheres, self._boxes, self._cells, self._top_speeds_mps
         starts = range(0, len(local), _PART_RAYS)
-        parts = [tuple(v[i : i + _PART_RAYS] for v in (local, directions, times_s, hits.distances_m)) for i in starts]
+        limits_m = np.minimum(hits.distances_m, np.float32(reach_m))
+        parts = [tuple(v[i : i + _PART_RAYS] for v in (local, directions, times_s, limits_m)) for i in starts]
         with ThreadPoolExecutor(self._n_threads or os.cpu_count()) as pool:
             entered = list(pool.map(lambda part: _enter_gallery(*part, *tables), parts))
         rows = np.concatenate([e[0] + i for e, i in zip(entered, starts, strict=True)])
@@ -298,6 +300,7 @@ def _enter_gallery(origins, directions, times_s, limits_m, path, bounds, spheres
         for r in range(first, last):
             narrowest = min(narrowest, directions[r, 0] * axis[0] + directions[r, 1] * axis[1] + directions[r, 2] * axis[2])
         half_angle = np.arccos(max(narrowest, -1.0)) + 1e-4
+        sin_half, cos_half = np.sin(half_angle), np.cos(half_angle)
         apex, spread = (low + high) / 2, np.sqrt(((high - low) ** 2).sum()) / 2
         # Where the actors' middles were a moment ago tells enough to rule most of them out.
         middle_s = (start_s + end_s) / 2
@@ -313,15 +316,23 @@ def _enter_gallery(origins, directions, times_s, limits_m, path, bounds, spheres
         late_s = abs(middle_s - known_s) + (end_s - start_s) / 2
         for i in range(len(spheres)):
             cx, cy, cz = middles[i, 0] - apex[0], middles[i, 1] - apex[1], middles[i, 2] - apex[2]
-            distance = np.sqrt(cx * cx + cy * cy + cz * cz)
+            square = cx * cx + cy * cy + cz * cz
             reach = spheres[i, 3] + spread + top_speeds_mps[i] * late_s + 1e-3
-            if distance - reach > farthest:
+            if square > (farthest + reach) ** 2:
                 continue
-            if distance > reach:
-                angle = np.arccos(min(max((cx * axis[0] + cy * axis[1] + cz * axis[2]) / distance, -1.0), 1.0))
-                if angle - np.arcsin(reach / distance) > half_angle:
-                    continue
+            # The sphere is seen under asin(reach / distance). It is passed by when the fan's axis is farther from its middle than
+            # that and half the fan together, a sum whose cosine and sine need no further function of an angle.
+            tangent = np.sqrt(max(square - reach * reach, 0.0))
+            is_below_half_turn = tangent > 0 and tangent * sin_half + reach * cos_half > 0
+            if is_below_half_turn and cx * axis[0] + cy * axis[1] + cz * axis[2] < tangent * cos_half - reach * sin_half:
+                continue
+            radius = spheres[i, 3] + top_speeds_mps[i] * late_s + 1e-3
             for r in range(first, last):
+                # The ray against the sphere, before the actor's pose at the ray's own time is looked up.
+                tx, ty, tz = middles[i, 0] - origins[r, 0], middles[i, 1] - origins[r, 1], middles[i, 2] - origins[r, 2]
+                along = tx * directions[r, 0] + ty * directions[r, 1] + tz * directions[r, 2]
+                if along < -radius or tx * tx + ty * ty + tz * tz - along * along > radius * radius:
+                    continue
                 x, y, z, cos, sin = poses[i, 0], poses[i, 1], poses[i, 2], poses[i, 3], poses[i, 4]
                 if times_s[r] != known_s:
                     x, y, z, yaw = _pose(path, bounds, i, times_s[r])

@@ -15,7 +15,7 @@ from streetscan.clouds import PointCloud
 from streetscan.simulation.layout import build_street, count_blocks
 from streetscan.simulation.raycasting import SceneCaster
 from streetscan.simulation.receiver import Receiver, measure
-from streetscan.simulation.recording import Errors, draw_bursts, plan_passes
+from streetscan.simulation.recording import BLOCK_SEED, Errors, draw_bursts, plan_passes
 from streetscan.simulation.sensors import mobile_mapper
 from streetscan.voxels import find_sorted, pack_keys
 
@@ -118,7 +118,7 @@ def probe_street(split: str, seed: int, length_m: float, settings: dict, n_pulse
     tracks, tables = [], []
     for b in range(n_blocks):
         scene = build_street(split=split, seed=seed, n_rounds=settings["n_rounds"], block=b, **street)
-        passes = plan_passes(scene, Errors(**settings["errors"]), seed + 7919 * b, settings["n_rounds"])
+        passes = plan_passes(scene, Errors(**settings["errors"]), seed + BLOCK_SEED * b, settings["n_rounds"])
         tracks += [p.truth.positions[::20] for p in passes]
         caster = SceneCaster(scene, passes[0].truth.start_s, passes[0].truth.end_s)
         for number, scanner in enumerate(mobile_mapper(**settings["scanners"])):

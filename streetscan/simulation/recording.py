@@ -36,6 +36,8 @@ _ROAD_STEP_M = 0.25
 _ROUNDING_M = 2.0
 _CHUNK_PULSES = 250_000
 _LOG_POINTS = 5_000_000
+# Each block of a street draws its drives and their errors from seeds of its own.
+BLOCK_SEED = 7919
 
 
 @dataclass
@@ -211,7 +213,7 @@ def record_map(
     mounts = [_misjudged_mount(errors, np.random.default_rng([seed, 6, k])) for k in range(len(scanners))]
     clock_s = 0.0
     for i, scene in enumerate(scenes):
-        passes = plan_passes(scene, errors, seed + 7919 * i, n_rounds)
+        passes = plan_passes(scene, errors, seed + BLOCK_SEED * i, n_rounds)
         chunks = [(p, c) for p in passes for c in range(int(np.ceil((p.truth.end_s - p.truth.start_s) / chunk_s)))]
         low, high = (len(chunks) * (part[0] + j) // part[1] for j in (0, 1))
         for drive in passes:
@@ -220,7 +222,8 @@ def record_map(
                 continue
             caster = SceneCaster(without_collisions(scene, drive.truth), drive.truth.start_s, drive.truth.end_s)
             for c in wanted:
-                for record in _record_chunk(caster, scene.crs, drive, c, chunk_s, scanners, mounts, receiver, cameras, seed + 7919 * i):
+                of_block = seed + BLOCK_SEED * i
+                for record in _record_chunk(caster, scene.crs, drive, c, chunk_s, scanners, mounts, receiver, cameras, of_block):
                     record.cloud.fields["time_s"] += clock_s
                     yield record
         # Each scene has a clock of its own; the map has one.
@@ -302,6 +305,17 @@ def record_street(
     return record_map(scenes, scanners, receiver, cameras, errors, seed, n_rounds, part)
 
 
+def replay_pass(split: str, seed: int, street: dict, block: int) -> tuple[Scene, Trajectory]:
+    """A block of a street on the day of its map, and where the mapping vehicle truly was on its first drive along the main road.
+
+    Args:
+        split, seed, street: as `record_street` had them, with one round.
+        block: its number.
+    """
+    scene = build_street(split=split, seed=seed, block=block, **street)
+    return scene, plan_passes(scene, Errors(), seed + BLOCK_SEED * block)[0].truth
+
+
 def record_static(
     scene: Scene, positions: np.ndarray, scanner: StaticScanner, receiver: Receiver, seed: int, start_s: float = 0.0
 ) -> Iterator[Record]:
@@ -352,7 +366,7 @@ def record_static_street(
         span_s = n * scanner.panorama_s
         scene = build_street(split=split, seed=seed, block=b, time_span_s=(-10.0, span_s), **street)
         positions = tripod_positions(scene, street, b, spacing_m)
-        for record in record_static(scene, positions, scanner, receiver, seed + 7919 * b):
+        for record in record_static(scene, positions, scanner, receiver, seed + BLOCK_SEED * b):
             record.cloud.fields["time_s"] += clock_s
             yield record
         clock_s += span_s

@@ -13,7 +13,7 @@ from streetscan.frames import CameraImage, LidarFrame
 from streetscan.io import kitti, trajectories
 from streetscan.io.exports import CONTENTS, KEPT
 from streetscan.io.images import encode_png
-from streetscan.io.mcap import iterate_drive, iterate_lidar, open_drive_writer, read_metadata
+from streetscan.io.mcap import iterate_drive, iterate_lidar, open_drive_writer, read_metadata, read_topics
 from streetscan.io.pcd_sequence import read_pcd_columns
 
 
@@ -115,6 +115,19 @@ def test_nothing_of_truth_without_asking(drive):
     main(drive / "drive.mcap", drive / "out", "kitti_odometry")
     assert {p.name for p in (drive / "out").iterdir()} == {"velodyne", "image_2", "times.txt", "calib.txt"}
     assert "Tr" not in (drive / "out" / "calib.txt").read_text()
+
+
+def test_further_cameras_stay_in_mcap_and_are_said_to_be_lost_elsewhere(tmp_path, caplog):
+    with open_drive_writer(tmp_path / "d.mcap") as writer:
+        writer.write_lidar(LidarFrame(START_NS, *revolution()[:2]))
+        for i, camera in enumerate(("camera", "camera_2", "camera_3")):
+            writer.write_image(CameraImage(START_NS + i, png(i), "png", camera=camera))
+    with caplog.at_level(logging.WARNING, "streetscan"):
+        main(tmp_path / "d.mcap", tmp_path / "out", "kitti_odometry")
+    assert "further cameras 2" in {" ".join(line.split()) for line in caplog.text.splitlines()}
+    assert [p.read_bytes() for p in (tmp_path / "out" / "image_2").iterdir()] == [png(0)]
+    main(tmp_path / "d.mcap", tmp_path / "copy.mcap", "mcap")
+    assert read_topics(tmp_path / "copy.mcap") == read_topics(tmp_path / "d.mcap")
 
 
 def test_jpeg_becomes_png_and_goes_to_its_nearest_frame(tmp_path):

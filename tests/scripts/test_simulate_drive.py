@@ -1,6 +1,7 @@
 """simulate_drive on the tiny city: the form every drive has, exact truth beside it, and a run that was stopped."""
 
 import json
+import re
 
 import numpy as np
 import pandas as pd
@@ -13,17 +14,23 @@ from toy_recordings import ROOT, SCHEMA
 
 from scripts.simulate_drive import main
 from streetscan import geodesy, geometry
-from streetscan.classes import FACADE, GROUND
+from streetscan.classes import FACADE, GROUND, PHANTOM
+from streetscan.drive_sheets import write_drive_sheet
 from streetscan.drives import read_drive_facts
 from streetscan.errors import BadInput
-from streetscan.frames import CameraImage, GpsFix, LidarFrame, Mounting
+from streetscan.frames import CameraImage, CameraModel, GpsFix, LidarFrame, Mounting
+from streetscan.inspection import inspect_drive
 from streetscan.io.images import decode_image
-from streetscan.io.mcap import iterate_drive, iterate_lidar, read_camera_model
+from streetscan.io.mcap import iterate_drive, iterate_lidar, read_camera_model, read_topics
 from streetscan.io.trajectories import read_poses_csv, read_tum
 from streetscan.simulation import drives
 from streetscan.simulation.camera import project
 from streetscan.simulation.changes import Day
+from streetscan.simulation.colouring import Cameras
 from streetscan.simulation.layout import build_street
+from streetscan.simulation.receiver import Receiver
+from streetscan.simulation.recording import Errors, record_street, replay_pass
+from streetscan.simulation.sensors import mobile_mapper
 
 FACTS = ROOT / "config" / "drives" / "city_tiny_main_road.yaml"
 TINY = yaml.safe_load((ROOT / "config" / "datasets" / "city_tiny.yaml").read_text())
@@ -254,5 +261,96 @@ def test_images_masks_and_lidar_agree_through_the_true_extrinsics(filmed):
 
 def test_frames_say_whether_they_have_an_image_and_the_file_does_not_tell_where_the_camera_is(filmed):
     table = pd.read_csv(filmed / "frames.csv")
-    assert set(table["image_status"]) == {"ok", "missing"}
+    assert set(table["image_status"]) == {"ok", "not_rendered"}
     assert [m.child for m in iterate_drive(filmed / "drive.mcap") if isinstance(m, Mounting)] == ["lidar", "gps"]
+
+
+MAPPING = ROOT / "config" / "drives" / "city_mapping.yaml"
+
+
+def write_mapping(path):
+    """The mapping vehicle's drive in the tiny city, with small pictures."""
+    facts = yaml.safe_load(MAPPING.read_text())
+    simulation = facts["simulation"] | {"dataset": "city_tiny", "n_frames": 7}
+    for mount in simulation["cameras"].values():
+        mount["settings"] |= {"width": 121, "height": 161, "focal_px": mount["settings"]["focal_px"] / 8}
+    path.write_text(yaml.safe_dump(facts | {"simulation": simulation}))
+    return path
+
+
+@pytest.fixture(scope="module")
+def mapped(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("mapped")
+    return run(folder, write_mapping(folder / "f.yaml"))
+
+
+def test_the_mapping_vehicle_looks_all_round():
+    drive = drives.read_simulation(read_drive_facts(MAPPING, SCHEMA).simulation)
+    T = np.array([mount.T_vehicle_camera for mount in drive.cameras.values()])
+    assert len(T) == 6
+    np.testing.assert_allclose(T[0, :3, 2], [1, 0, 0], atol=1e-12)
+    np.testing.assert_allclose(T[:5, :3, 2].sum(axis=0), 0, atol=1e-12)
+    np.testing.assert_allclose(T[5, :3, 2], [0, 0, 1], atol=1e-12)
+    # The ring's images are upright: down in the picture is down in the world.
+    np.testing.assert_allclose(T[:5, :3, 1], np.tile([0, 0, -1], (5, 1)), atol=1e-12)
+
+
+def test_six_cameras_have_topics_and_truth_of_their_own(mapped):
+    names = [f"camera_{i}" for i in (1, 2, 3, 4, 5, "up")]
+    topics = {f"/{name}/{kind}" for name in names for kind in ("image", "calibration")}
+    assert topics <= set(read_topics(mapped / "drive.mcap"))
+    records = list(iterate_drive(mapped / "drive.mcap", read_topics(mapped / "drive.mcap")))
+    images = [r for r in records if isinstance(r, CameraImage)]
+    assert {r.camera for r in records if isinstance(r, CameraModel)} == {i.camera for i in images} == set(names)
+    # Methods that want the one camera of a drive do not get one of six.
+    assert not [r for r in iterate_drive(mapped / "drive.mcap") if isinstance(r, CameraImage | CameraModel)]
+    places = yaml.safe_load((mapped / "truth" / "truth.yaml").read_text())["cameras"]
+    assert list(places) == names
+    for name in names:
+        of_camera = [i for i in images if i.camera == name]
+        _, stamps, poses = read_poses_csv(mapped / "truth" / name / "camera_poses.csv")
+        assert stamps == pytest.approx([i.time_ns / 1e9 for i in of_camera], abs=1e-6)
+        assert len(poses) == len(list((mapped / "truth" / name / "masks").glob("*.npz"))) == 1
+        assert decode_image(of_camera[0]).shape == (161, 121, 3)
+    # The camera that looks up sees sky, the others the street.
+    shares = {}
+    for name in names:
+        with np.load(mapped / "truth" / name / "masks" / "000000.npz") as mask:
+            shares[name] = (mask["labels"] == GROUND).mean()
+    assert shares["camera_up"] == 0
+    assert min(shares[name] for name in names[:5]) > 0.1
+
+
+def test_the_page_of_six_cameras_shows_them_all(mapped):
+    inspection = inspect_drive(mapped / "drive.mcap", mapped / "frames.csv", mapped / "truth")
+    assert inspection.changes is None
+    assert [len(of_frame) for of_frame in inspection.images.values()] == [6]
+    write_drive_sheet(mapped / "sheet.html", "mapped", "six", "ours", inspection)
+    page = (mapped / "sheet.html").read_text()
+    assert all(f"<td>camera_{name}</td>" in page for name in (1, 2, 3, 4, 5, "up"))
+    assert int(re.search(r"camera_up, (\d+) lidar points in them", page)[1]) > 10_000
+
+
+def test_the_mapping_drive_is_the_first_pass_of_the_map_in_its_own_world(mapped):
+    scene, trajectory = replay_pass("test", 1, STREET, 0)
+    records = record_street("test", 1, STREET, mobile_mapper(100.0, 20_000.0), Receiver(), Cameras(), Errors(drift_m=0.0, attitude_deg=0.0))
+    first = next(iter(records))
+    inside = first.cloud.fields["time_s"] < 0.5
+    reach = np.linalg.norm(first.cloud.points[inside] - trajectory.at(np.array([0.25]))[0], axis=1)
+    # The map's own first points lie about the vehicle, and its moving objects are those the drive's truth lists.
+    assert np.percentile(reach, 20) < 6
+    times_s, poses = read_tum(mapped / "truth" / "trajectory.tum")
+    expected, _ = trajectory.at(times_s - times_s[0])
+    assert np.abs(expected - poses[:, :3, 3]).max() < 1e-3
+    objects = pd.read_csv(mapped / "truth" / "objects.csv")
+    seen = set(np.unique(first.instances[first.labels == PHANTOM]))
+    assert seen <= set(objects["instance"]) <= {int(a.mesh.instances[0]) for a in scene.actors}
+    assert pd.read_csv(mapped / "truth" / "changes.csv").empty
+
+
+def test_a_mapping_drive_has_no_day_of_its_own(tmp_path):
+    facts = yaml.safe_load(MAPPING.read_text())
+    facts["simulation"]["day"] = {"number": 3}
+    (tmp_path / "f.yaml").write_text(yaml.safe_dump(facts))
+    with pytest.raises(BadInput, match="simulation"):
+        read_drive_facts(tmp_path / "f.yaml", SCHEMA)

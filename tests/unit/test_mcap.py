@@ -1,4 +1,8 @@
 import io
+import json
+import shutil
+import subprocess
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -18,6 +22,18 @@ def frame(i=0, n=360, **changes):
     ring = np.arange(n, dtype=np.uint16) % 64
     values = {"intensity": intensity, "ring": ring, "time_offset_s": times.astype(np.float32)} | changes
     return LidarFrame(START_NS + i * 100_000_000, points, **values)
+
+
+def read_with_mcap_core(path):
+    """What @mcap/core, a reader with which ours shares no code, finds in a file; skipped where Node.js or the reader is missing."""
+    if shutil.which("node") is None:
+        pytest.skip("no Node.js to run @mcap/core with")
+    done = subprocess.run(["node", Path(__file__).parents[1] / "read_mcap.cjs", path], capture_output=True, text=True, check=False)
+    if "Cannot find module" in done.stderr:
+        pytest.skip("no @mcap/core and fzstd: npm install --no-save @mcap/core@2.2.2 fzstd@0.1.1")
+    if done.returncode:
+        raise RuntimeError(done.stderr)
+    return json.loads(done.stdout)
 
 
 @pytest.fixture
@@ -75,6 +91,38 @@ def test_schemas_index_and_checksums(drive):
     # A second reader, which goes from the front and uses no index, finds the same.
     with drive.open("rb") as stream:
         assert sum(1 for _ in NonSeekingReader(stream, validate_crcs=True).iter_messages()) == 14
+
+
+def test_another_reader_finds_every_message_index_and_checksum(drive):
+    found = read_with_mcap_core(drive)
+    counts = {"/lidar": 4, "/camera/image": 4, "/camera/calibration": 1, "/gps": 4, "/tf": 1}
+    assert found["isWhole"]
+    assert found["streamed"] == found["indexed"] == counts
+    assert found["chunks"] == found["chunksWithCrc"] > 0
+    assert found["schemas"] == {
+        "/lidar": "foxglove.PointCloud",
+        "/camera/image": "foxglove.CompressedImage",
+        "/camera/calibration": "foxglove.CameraCalibration",
+        "/gps": "foxglove.LocationFix",
+        "/tf": "foxglove.FrameTransform",
+    }
+    content = bytearray(drive.read_bytes())
+    content[len(content) // 3] ^= 0xFF
+    drive.write_bytes(content)
+    with pytest.raises(RuntimeError):
+        read_with_mcap_core(drive)
+
+
+def test_images_of_several_cameras_have_topics_of_their_own(tmp_path):
+    path = tmp_path / "drive.mcap"
+    with mcap.open_drive_writer(path) as writer:
+        writer.write_lidar(frame())
+        for i, camera in enumerate(("camera", "camera_2")):
+            writer.write_image(CameraImage(START_NS + i, png(i), "png", camera=camera))
+    assert mcap.read_topics(path) == ("/camera/image", "/camera_2/image", "/lidar")
+    assert [i.camera for i in mcap.iterate_images(path)] == ["camera"]
+    images = [r for r in mcap.iterate_drive(path, mcap.read_topics(path)) if isinstance(r, CameraImage)]
+    assert [(i.camera, i.data) for i in images] == [("camera", png(0)), ("camera_2", png(1))]
 
 
 def test_only_what_is_known_is_written(tmp_path):
