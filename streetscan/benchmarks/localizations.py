@@ -143,8 +143,8 @@ def _compare_maps(localizations: Sequence[Localization]) -> str:
             continue
         figures = summarize(r.errors).set_index("metric")["value"]
         said.append(
-            f"by {title(r.labels)} {figures['landmarks']:.0f} landmarks within 30 m, {figures['movable_landmarks']:.1f} % of them phantoms, "
-            "vehicles or people, which have left by the day of the drive; "
+            f"by {title(r.labels)} {figures['landmarks']:.0f} landmarks within 30 m, {figures['movable_landmarks']:.1f} % of them phantoms,"
+            " vehicles or people, which have left by the day of the drive; "
             f"vote {100 * figures['vote_translation_mean']:.0f} cm, {figures['vote_rotation_mean']:.2f}°"
         )
     if len(said) < 2:
