@@ -6,7 +6,7 @@ import pytest
 
 from streetscan.localization.verdict import VERDICTS, Evidence, judge
 
-GOOD = Evidence(True, n_objects=20, n_inliers=6, consensus=3.0, margin=0.4, fit=0.35)
+GOOD = Evidence(True, n_objects=20, n_inliers=6, consensus=6.0, margin=0.4, fit=0.35)
 
 
 @pytest.mark.parametrize(
@@ -18,7 +18,7 @@ GOOD = Evidence(True, n_objects=20, n_inliers=6, consensus=3.0, margin=0.4, fit=
         ({"fit": float("nan")}, "ok"),
         ({"n_objects": 2}, "too_few_objects"),
         ({"n_inliers": 2}, "ambiguous"),
-        ({"consensus": 0.5}, "ambiguous"),
+        ({"consensus": 2.0}, "ambiguous"),
         ({"margin": 0.1}, "ambiguous"),
         ({"margin": -0.2}, "ambiguous"),
         ({"margin": 0.0, "plane_margin": 0.2}, "ok"),
