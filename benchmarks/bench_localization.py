@@ -53,11 +53,14 @@ def bench_localization(data_root: str | Path) -> list[dict]:
     Returns:
         rows benchmark, metric, value, unit, peer, n.
     """
-    rows = []
+    rows, cases = [], {}
     for name in DRIVES:
         facts = read_drive_facts(ROOT / "config" / "drives" / f"{name}.yaml", ROOT / "config" / "drive.schema.yaml")
         if (Path(data_root) / facts.root).exists():
-            rows += _bench_drive(name, _prepare(name, Recording(facts, data_root)))
+            cases[name] = _prepare(name, Recording(facts, data_root))
+            rows += _bench_drive(name, cases[name])
+    for name, other in itertools.permutations(cases, 2):
+        rows.append(_bench_other_map(f"localization_{name}", cases[name], other, cases[other]))
     return rows
 
 
@@ -175,6 +178,15 @@ def _bench_no_guess(bench: str, localizer: VotingLocalizer, case: _Case) -> list
         _row(bench, "no guess wrong but ok", wrong, "frames", n=len(right)),
         _row(bench, "no guess time", np.median(seconds[1:]), "s", n=len(right)),
     ]
+
+
+def _bench_other_map(bench: str, case: _Case, other: str, other_case: _Case) -> dict:
+    """Frames looked for on the map of another street, where every pose that is believed is wrong."""
+    localizer = VotingLocalizer(other_case.reference)
+    starts = itertools.cycle(other_case.starts)
+    chosen = np.unique(np.linspace(0, len(case.points) - 1, _N_PEER_FRAMES).astype(int))
+    found = [localizer.locate(case.points[i], start) for i, start in zip(chosen, starts, strict=False)]
+    return _row(bench, "believed on another map", sum(f.status == "ok" for f in found), "frames", other, len(found))
 
 
 def _bench_memory(bench: str, case: _Case) -> list[dict]:

@@ -185,7 +185,7 @@ rule evaluate_localization:
     input:
         code=library("evaluate_localization"),
         drive=drive_file("drive.mcap"),
-        truth=drive_file("truth"),
+        truth=poses_on_map,
         poses="results/localize_frames/{dataset}/{drive}/{labels}/{localizer}/poses.csv",
         landmarks=reference_file("landmarks.npz"),
         reference=reference_file("reference.npz"),

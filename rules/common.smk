@@ -421,6 +421,25 @@ def localizer_settings(wildcards):
     return {k: (v | changed[k] if isinstance(v, dict) else changed[k]) if k in changed else v for k, v in settings.items()}
 
 
+def localizer_sequence(wildcards):
+    """`localize_frames.sequence` with which frames the localizer takes and where it starts."""
+    localizer = config["localizers"][wildcards.localizer]
+    chosen = {"mode": localizer["start"]} | {key: localizer[key] for key in ("first", "every") if key in localizer}
+    return config["localize_frames"]["sequence"] | chosen
+
+
+def is_own_street(dataset, drive):
+    """Whether a map is merged from the frames of a drive itself."""
+    return facts(dataset)["source"] == "merge" and facts(dataset)["merge"]["drive"] == drive
+
+
+def poses_on_map(wildcards):
+    """The poses a drive's frames have on a map: the true ones; on the street merged of its own frames, those they were registered at."""
+    if is_own_street(wildcards.dataset, wildcards.drive):
+        return f"results/register_frames/{wildcards.drive}/{facts(wildcards.dataset)['merge']['registrar']}/poses.csv"
+    return drive_file("truth")(wildcards)
+
+
 def mapped_truth(name):
     """An input function: a file of the true classes of the map's voxels, where they are known; for scoring."""
 
@@ -437,13 +456,14 @@ def place_of(drive):
     return drive_facts(drive).get("simulation", {}).get("place", "")
 
 
-def has_poses(drive):
-    """Whether the true poses of a drive are known."""
-    return drive_facts(drive)["reader"] == "simulate" or "poses" in drive_facts(drive).get("truth", {})
+def has_poses(dataset, drive):
+    """Whether the poses of a drive on a map are known."""
+    is_known = drive_facts(drive)["reader"] == "simulate" or "poses" in drive_facts(drive).get("truth", {})
+    return is_own_street(dataset, drive) or (is_known and facts(dataset)["crs"] is not None)
 
 
 LOCALIZED = localizations()
-SCORED_LOCALIZATIONS = [(*names, place_of(names[1])) for names in LOCALIZED if has_poses(names[1])]
+SCORED_LOCALIZATIONS = [(*names, place_of(names[1])) for names in LOCALIZED if has_poses(*names[:2])]
 
 
 def for_localizations(path, selected):

@@ -34,7 +34,7 @@ rule localize_frames:
         drive=drive_file("drive.mcap"),
         landmarks=reference_file("landmarks.npz"),
         reference=reference_file("reference.npz"),
-        truth=lambda w: drive_file("truth")(w) if config["localizers"][w.localizer]["start"] == "even" else [],
+        truth=lambda w: poses_on_map(w) if config["localizers"][w.localizer]["start"] == "even" else [],
     output:
         poses="results/localize_frames/{dataset}/{drive}/{labels}/{localizer}/poses.csv",
         tum="results/localize_frames/{dataset}/{drive}/{labels}/{localizer}/poses.tum",
@@ -51,11 +51,7 @@ rule localize_frames:
     params:
         method=lambda w: config["localizers"][w.localizer]["method"],
         settings=localizer_settings,
-        sequence=lambda w: config["localize_frames"]["sequence"]
-        | {
-            "mode": config["localizers"][w.localizer]["start"],
-            "every": config["localizers"][w.localizer]["every"],
-        },
+        sequence=localizer_sequence,
         seed=config["seed"],
     script:
         "../scripts/localize_frames.py"

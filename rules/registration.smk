@@ -93,5 +93,6 @@ rule merge_frames:
         mem_mb=3000,
     params:
         **config["merge_frames"],
+        left_out=lambda w: config["registrars"][w.registrar].get("left_out"),
     script:
         "../scripts/merge_frames.py"

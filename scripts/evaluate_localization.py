@@ -7,12 +7,12 @@ import numpy as np
 from streetscan.io.arrays import load_npy
 from streetscan.io.mcap import iterate_lidar
 from streetscan.io.tables import save_tables
-from streetscan.io.trajectories import read_poses_csv
 from streetscan.localization.evaluation import PhantomMap, evaluate_drive, summarize
 from streetscan.localization.localizer import LocalizerSettings
 from streetscan.localization.location_tables import read_locations
 from streetscan.localization.reference import Reference
 from streetscan.localization.settings import build
+from streetscan.localization.starts import read_poses_on_map
 from streetscan.logs import logged
 from streetscan.voxels import VoxelGrid
 
@@ -24,7 +24,8 @@ def main(
 ) -> None:  # fmt: skip
     """
     Args:
-        drive_path, truth_path: drive.mcap and truth/ of the drive.
+        drive_path: drive.mcap.
+        truth_path: truth/ of the drive, or poses.csv of register_frames for a map merged of its frames.
         poses_path: of localize_frames.
         reference_path, landmarks_path: the map it used.
         voxels_path, labels_path: the map's voxels and their true labels, or None where nobody knows them.
@@ -33,7 +34,7 @@ def main(
         with_floor: refine the true poses too, to know what no method can pass.
     """
     reference, rows = Reference.load(reference_path, landmarks_path), read_locations(poses_path)
-    _, times_s, truth = read_poses_csv(Path(truth_path) / "poses.csv")
+    times_s, truth = read_poses_on_map(truth_path)
     phantoms = None
     if voxels_path is not None:
         grid = VoxelGrid.load(voxels_path)

@@ -22,7 +22,8 @@ def main(
     Args:
         drive_path: drive.mcap.
         reference_path, landmarks_path: of cluster_landmarks.
-        truth_path: folder truth/ of the drive, for starts that are spread around true poses; None for all others.
+        truth_path: folder truth/ of the drive, or poses.csv of register_frames for a map merged of its frames, for starts that are spread
+            around true poses; None for all others.
         poses_path, tum_path, view_path, pictures_folder: to write: a row per frame, believed poses, aligned scans beside the map, PNG.
         method: of `streetscan.localization.settings.METHODS`.
         settings: keys of LocalizerSettings.

@@ -8,11 +8,13 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 import pandas as pd
+from scipy.spatial import cKDTree
 
-from streetscan.classes import PHANTOM
+from streetscan.classes import MOVABLE_LABELS, PHANTOM
 from streetscan.errors import BadInput
 from streetscan.frames import LidarFrame
-from streetscan.geometry import angle_difference, invert, rotation_angle, rpy_of_transform
+from streetscan.geometry import angle_difference, apply, invert, rotation_angle, rpy_of_transform, transform
+from streetscan.landmarks import Landmarks
 from streetscan.localization.drive import FrameLocation
 from streetscan.localization.ground import find_ground
 from streetscan.localization.localizer import LocalizerSettings, level_of
@@ -33,7 +35,7 @@ MANY_PHANTOMS = 0.03
 _PHANTOM_RANGE_M = 30.0
 COLUMNS = (
     "frame", "status", "found_m", "found_deg", "vote_m", "vote_deg", "start_m", "start_deg", "floor_m", "floor_deg", "keypoint_m",
-    "n_objects", "n_good", "nees", "phantom_share", "detection_s", "vote_s", "refinement_s", "source",
+    "n_objects", "n_good", "n_landmarks", "n_movable", "nees", "phantom_share", "detection_s", "vote_s", "refinement_s", "source",
 )  # fmt: skip
 
 
@@ -65,7 +67,8 @@ def evaluate_drive(
     wanted = {row.index: row for row in rows}
     if wanted and max(wanted) >= len(truth):
         raise BadInput("the truth", f"{len(truth)} poses, while frame {max(wanted)} was localized", "give the truth of the same drive")
-    refiner = Refiner(reference)
+    refiner, landmarks = Refiner(reference), reference.landmarks
+    is_movable = phantoms.are_movable(landmarks.moved(reference.origin)) if phantoms is not None else None
     table = []
     for index, frame in frames:
         if (row := wanted.get(index)) is None:
@@ -81,9 +84,13 @@ def evaluate_drive(
             near = points[(points[:, :2] ** 2).sum(axis=1) < refiner.range_m**2]
             floor = pose_error(_moved(refiner.refine(near, _moved(T, -reference.origin), is_gated=False).T_map_lidar, reference.origin), T)
         keypoint_m, n_objects, n_good = match_objects(points, found.T_map_lidar, T, reference, settings)
-        share = phantoms.share_at(T[:2, 3]) if phantoms is not None and np.isfinite(T).all() else np.nan
+        share, n_movable, near = np.nan, np.nan, np.empty(0, np.int64)
+        if np.isfinite(T).all():
+            near = landmarks.near(T[:2, 3] - reference.origin[:2], settings.ground.range_m)
+            if phantoms is not None:
+                share, n_movable = phantoms.share_at(T[:2, 3]), int(is_movable[near].sum())
         table.append(
-            (index, found.status, *errors, start_m, start_deg, *floor, keypoint_m, n_objects, n_good)
+            (index, found.status, *errors, start_m, start_deg, *floor, keypoint_m, n_objects, n_good, len(near), n_movable)
             + (normalized_error(found.T_map_lidar, T, found.covariance), share, *found.seconds, found.source)
         )
     return pd.DataFrame(table, columns=COLUMNS)
@@ -157,7 +164,7 @@ def match_objects(
 
 
 class PhantomMap:
-    """How much of what stands on the map are phantoms, around a place."""
+    """What of the map was never there or has left: phantoms around a place, landmarks that are vehicles or people."""
 
     def __init__(self, grid: VoxelGrid, labels: np.ndarray, min_height_m: float = 0.3):
         """
@@ -167,12 +174,26 @@ class PhantomMap:
             min_height_m: lower voxels are ground.
         """
         standing = grid.height_m > min_height_m
-        self._xy, self._is_phantom = grid.centres[standing, :2], labels[standing] == PHANTOM
+        self._centres, labels = grid.centres[standing], labels[standing]
+        self._xy, self._is_phantom, self._is_movable = self._centres[:, :2], labels == PHANTOM, np.isin(labels, MOVABLE_LABELS)
 
     def share_at(self, xy: np.ndarray) -> float:
         """Share of phantoms among the standing voxels within 30 m; NaN where nothing stands."""
         near = ((self._xy - xy) ** 2).sum(axis=1) < _PHANTOM_RANGE_M**2
         return float(self._is_phantom[near].mean()) if near.any() else np.nan
+
+    def are_movable(self, landmarks: Landmarks) -> np.ndarray:
+        """(M,) bool, landmarks in frame `map` most of whose voxels are phantoms, vehicles or people: not there on another day."""
+        o, found = landmarks.objects, np.zeros(len(landmarks), bool)
+        if len(self._xy) == 0:
+            return found
+        middles, origin = o.corners.mean(axis=(1, 2)), self._centres[0]
+        tree = cKDTree(self._xy - origin[:2])
+        for i, rows in enumerate(tree.query_ball_point(middles[:, :2] - origin[:2], np.hypot(*o.sizes_m[:, :2].T) / 2 + 0.1)):
+            turn = transform(middles[i], (0, 0, o.yaws_rad[i]))
+            inside = (np.abs(apply(invert(turn), self._centres[rows])) < o.sizes_m[i] / 2 + 0.1).all(axis=1)
+            found[i] = inside.any() and self._is_movable[rows][inside].mean() > 0.5
+        return found
 
 
 def summarize(errors: pd.DataFrame) -> pd.DataFrame:
@@ -208,6 +229,9 @@ def summarize(errors: pd.DataFrame) -> pd.DataFrame:
         rows += [(f"{name}_mean", _of(np.mean, values), unit, len(values)), (f"{name}_median", _of(np.median, values), unit, len(values))]
     good = errors[errors["n_objects"] > 0]
     rows.append(("good_landmarks", _of(np.mean, 100 * good["n_good"] / good["n_objects"]), "%", len(good)))
+    rows.append(("landmarks", _of(np.mean, errors["n_landmarks"]), "", n))
+    known = errors[(errors["n_landmarks"] > 0) & errors["n_movable"].notna()]
+    rows.append(("movable_landmarks", _of(np.mean, 100 * known["n_movable"] / known["n_landmarks"]), "%", len(known)))
     seconds = errors["detection_s"] + errors["vote_s"]
     rows.append(("detection_vote_rate", 1 / max(_of(np.median, seconds), 1e-9), "fps", n))
     rows.append(("frame_rate", 1 / max(_of(np.median, seconds + errors["refinement_s"]), 1e-9), "fps", n))

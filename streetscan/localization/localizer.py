@@ -16,7 +16,7 @@ from streetscan.localization.objects import ObjectSettings, find_objects
 from streetscan.localization.recovery import HIGH_M, LOW_M, search_plane
 from streetscan.localization.reference import Reference
 from streetscan.localization.refinement import RefinementSettings, Refiner
-from streetscan.localization.verdict import Evidence, VerdictSettings, judge
+from streetscan.localization.verdict import Evidence, VerdictSettings, is_agreed, judge
 from streetscan.localization.voting import Compatibility, Peak, Window, count_pairs, find_compatible, refine_peaks, vote
 from streetscan.registration.ndt import thin_points
 
@@ -70,6 +70,7 @@ class Location:
         T_vote: (4, 4) the pose of the vote alone.
         consensus, margin, n_objects, n_landmarks, n_inliers: of the vote.
         overlap_start, overlap: share of the frame on the map, at the start and at the pose.
+        fit: how well the frame lies on the map's surfaces at the pose, 0 to 1.
         source: what the pose comes from: `objects` (the vote), `points` (the search without objects), or empty.
         is_refined: the pose was refined on points.
         covariance: (6, 6) x y z roll pitch yaw, m and rad, axes of `map`.
@@ -86,6 +87,7 @@ class Location:
     n_inliers: int = 0
     overlap_start: float = np.nan
     overlap: float = np.nan
+    fit: float = np.nan
     source: str = ""
     is_refined: bool = False
     covariance: np.ndarray = field(default_factory=lambda: np.full((6, 6), np.nan))
@@ -166,13 +168,13 @@ class VotingLocalizer:
         """Fill in the best pose of the vote, refined, and whether it is believed."""
         poses = [T_start @ transform(p.shift_m, (0, 0, p.turn_rad)) @ frame.T_level_lidar for p in peaks]
         found.T_vote = poses[0].copy()
-        best = 0
-        if self._settings.is_refined:
+        best, s = 0, self._settings
+        first = Evidence(True, found.n_objects, len(peaks[0].pairs), peaks[0].consensus, _margin(peaks, 0))
+        # Where objects do not decide, points choose among what they propose.
+        if s.is_refined and not is_agreed(first, s.verdict):
             best = int(np.argmax(np.nan_to_num([self._refiner.coarse.overlap(frame.standing, T) for T in poses])))
         peak = peaks[best]
-        others = max((p.consensus for i, p in enumerate(peaks) if i != best), default=0.0)
-        found.consensus, found.n_inliers = peak.consensus, len(peak.pairs)
-        found.margin = 1 - others / max(peak.consensus, 1e-9)
+        found.consensus, found.n_inliers, found.margin = peak.consensus, len(peak.pairs), _margin(peaks, best)
         evidence = Evidence(True, found.n_objects, found.n_inliers, found.consensus, found.margin)
         self._finish(found, frame, poses[best], _vote_covariance(peak, T_start), evidence, "objects")
 
@@ -189,8 +191,8 @@ class VotingLocalizer:
         T = place_start(self._reference, xy + shift, yaw + turn, frame.sensor_height_m) @ frame.T_level_lidar
         trial = Location(found.status)
         self._finish(trial, frame, T, np.full((6, 6), np.nan), Evidence(True, found.n_objects, plane_margin=margin), "points")
-        if trial.status == "ok" or not trial.overlap <= found.overlap:
-            for name in ("status", "T_map_lidar", "overlap", "source", "is_refined", "covariance"):
+        if trial.status == "ok" or not trial.fit <= found.fit:
+            for name in ("status", "T_map_lidar", "overlap", "fit", "source", "is_refined", "covariance"):
                 setattr(found, name, getattr(trial, name))
 
     def _finish(
@@ -202,10 +204,17 @@ class VotingLocalizer:
             refined = self._refiner.refine(frame.near_points(self._settings.refinement.range_m), T)
             if refined.is_accepted:
                 T, found.is_refined, found.covariance = refined.T_map_lidar, True, refined.covariance
-            evidence.overlap = found.overlap = self._refiner.fine.overlap(frame.standing, T)
+            evidence.fit = found.fit = refined.fit
+            found.overlap = self._refiner.fine.overlap(frame.standing, T)
         evidence.is_on_map = self._reference.contains(T[:2, 3], 1.0)
         found.T_map_lidar = T.copy()
         found.status = judge(evidence, self._settings.verdict)
+
+
+def _margin(peaks: list[Peak], best: int) -> float:
+    """Lead of a peak over the best other one, as a share of its consensus."""
+    others = max((p.consensus for i, p in enumerate(peaks) if i != best), default=0.0)
+    return 1 - others / max(peaks[best].consensus, 1e-9)
 
 
 class _LevelFrame:

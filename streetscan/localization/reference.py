@@ -24,6 +24,11 @@ _GROUND_M, _TILE_M = 0.5, 10.0
 _MAX_HEIGHT_M = 8.0
 # Distance around the vehicle within which the road's plane is fitted.
 _PLANE_RANGE_M = 15.0
+# Squares of this edge are mapped when anything in them is. ASSUME: wide enough to hold the unseen inside of a house beside its front, so
+# that a frame pushed into houses is still found to lie beside the map.
+_MAPPED_M = 8.0
+# A frame of which less is where the map is counts as if so much were.
+MIN_KNOWN = 1 / 3
 
 
 @dataclass
@@ -60,10 +65,12 @@ class Reference:
 
     def contains(self, xy: np.ndarray, margin_m: float = 0.0) -> bool:
         """Whether a position (>=2,), relative to the origin, lies on the map, or at most a distance beside it."""
-        i, j = ((np.asarray(xy)[:2] - self.ground_corner) / _GROUND_M).astype(np.int64)
-        n = int(np.ceil(margin_m / _GROUND_M))
-        if not np.isfinite(xy[:2]).all() or max(abs(i), abs(j)) > 1 << 24:
+        at = (np.asarray(xy, np.float64)[:2] - self.ground_corner) / _GROUND_M
+        # Said so that NaN fails.
+        if not np.abs(at).max() < 1 << 24:
             return False
+        i, j = at.astype(np.int64)
+        n = int(np.ceil(margin_m / _GROUND_M))
         return bool(self.is_ground[max(i - n, 0) : max(i + n + 1, 0), max(j - n, 0) : max(j + n + 1, 0)].any())
 
     def ground_at(self, xy: np.ndarray) -> np.ndarray:
@@ -166,18 +173,33 @@ class OccupancyGrid:
             size_m: edge of the cubes; a point within a cube of a static point, or beside one, counts.
         """
         self._size_m = size_m
-        keys = np.unique(pack_keys(np.floor(points / size_m).astype(np.int64))) if len(points) else np.empty(0, np.int64)
-        n_table = 1 << int(np.ceil(np.log2(4 * len(keys) + 4)))
-        self._table = _fill_table(keys, np.full(n_table, EMPTY))
+        self._mapped = _make_table(np.c_[np.floor(points[:, :2] / _MAPPED_M), np.zeros(len(points))])
+        self._table = _make_table(np.floor(points / size_m))
 
     def overlap(self, points: np.ndarray, T: np.ndarray) -> float:
         """Share of points (N, 3) that lie on the map once turned and moved by T (4, 4): 1 in a cube with static points, 0.5 beside one.
 
-        NaN without points.
+        Where the map ends nothing is known, so points beyond it do not count, as long as a MIN_KNOWN share of the frame is left. NaN
+        without points.
         """
         if len(points) == 0:
             return float("nan")
-        return _overlap(self._table, np.ascontiguousarray(points, np.float64), T[:3, :3].copy(), T[:3, 3].copy(), self._size_m)
+        return self._look_up(points, T)[0]
+
+    def known_share(self, points: np.ndarray, T: np.ndarray) -> float:
+        """Share of points (N, 3) that lie where the map is once turned and moved by T (4, 4), on it or not; 0 without points."""
+        return self._look_up(points, T)[1] if len(points) else 0.0
+
+    def _look_up(self, points: np.ndarray, T: np.ndarray) -> tuple[float, float]:
+        return _overlap(
+            self._table, self._mapped, np.ascontiguousarray(points, np.float64), T[:3, :3].copy(), T[:3, 3].copy(), self._size_m
+        )
+
+
+def _make_table(cells: np.ndarray) -> np.ndarray:
+    """Hash table of the cells (N, 3) that occur."""
+    keys = np.unique(pack_keys(cells.astype(np.int64))) if len(cells) else np.empty(0, np.int64)
+    return _fill_table(keys, np.full(1 << int(np.ceil(np.log2(4 * len(keys) + 4))), EMPTY))
 
 
 @njit(cache=True, nogil=True)
@@ -188,15 +210,20 @@ def _fill_table(keys, table):
 
 
 @njit(cache=True, nogil=True)
-def _overlap(table, points, rotation, translation, size):
-    total = 0.0
+def _overlap(table, mapped, points, rotation, translation, size):
+    total, n_mapped = 0.0, 0
     at = np.empty(3, np.int64)
+    per_column = _MAPPED_M / size
     for p in range(len(points)):
         for a in range(3):
             place = translation[a]
             for b in range(3):
                 place += rotation[a, b] * points[p, b]
             at[a] = int(np.floor(place / size))
+        column = pack_cell(int(np.floor((at[0] + 0.5) / per_column)), int(np.floor((at[1] + 0.5) / per_column)), 0)
+        if mapped[find_slot(mapped, column)] == EMPTY:
+            continue
+        n_mapped += 1
         if table[find_slot(table, pack_cell(at[0], at[1], at[2]))] != EMPTY:
             total += 1.0
             continue
@@ -207,4 +234,4 @@ def _overlap(table, points, rotation, translation, size):
                 is_beside = is_beside or table[find_slot(table, pack_cell(at[0], at[1], at[2]))] != EMPTY
                 at[a] -= step
         total += 0.5 if is_beside else 0.0
-    return total / len(points)
+    return total / max(n_mapped, MIN_KNOWN * len(points)), n_mapped / len(points)

@@ -16,6 +16,9 @@ from streetscan.frames import GpsFix, Mounting
 from streetscan.io.mcap import GPS, TF, iterate_drive, iterate_lidar
 from streetscan.io.trajectories import read_poses_csv
 from streetscan.localization.voting import Window
+from streetscan.registration.merging import choose_segment
+from streetscan.registration.pose_tables import read_pose_table
+from streetscan.sweeps import velocity_between
 
 # ASSUME: a position is good for a start for so long after a fix; in it a car in a street moves the width of the search window.
 _MAX_GAP_S = 1.5
@@ -42,28 +45,54 @@ class Starts:
     turn_rate_radps: np.ndarray
 
 
-def read_starts(drive_path: str | Path, crs: str | None, where: object, truth_folder: str | Path | None, mode: str, seed: int) -> Starts:
+def read_poses_on_map(path: str | Path) -> tuple[np.ndarray, np.ndarray]:
+    """Stamps (F,) and poses T_map_lidar (F, 4, 4) of a drive's frames by number, NaN where they are not known.
+
+    Args:
+        path: folder truth/ of the drive; or, for a map merged from the drive's own frames, poses.csv of register_frames, of which the
+            segment with most frames is the map.
+    Raises:
+        BadInput: the table is something else.
+    """
+    path = Path(path)
+    if path.is_dir():
+        return read_poses_csv(path / "poses.csv")[1:]
+    rows = read_pose_table(path)
+    n = max((row.index for row in rows), default=-1) + 1
+    times_s, poses = np.full(n, np.nan), np.full((n, 4, 4), np.nan)
+    for index, row in choose_segment(rows).items():
+        times_s[index], poses[index] = row.time_s, row.T_segment_lidar
+    return times_s, poses
+
+
+def read_starts(drive_path: str | Path, crs: str | None, where: object, truth_path: str | Path | None, mode: str, seed: int) -> Starts:
     """Starts of a drive's frames, as its localizer's mode wants them.
 
     Args:
         drive_path: drive.mcap.
         crs, where: of the map, and the map, named in errors.
-        truth_folder: truth/ of the drive, for mode `even`.
+        truth_path: of `read_poses_on_map`, for mode `even`.
         mode: of `streetscan.localization.drive.MODES`.
         seed: of the spread of mode `even`.
     Raises:
-        BadInput: mode `even` without truth, or a drive with GPS and a map without a reference system.
+        BadInput: mode `even` without truth; any other mode, a drive with GPS and a map without a reference system.
     """
     times_s = np.array([frame.time_ns / 1e9 for frame in iterate_lidar(drive_path)])
     records = list(iterate_drive(drive_path, (GPS, TF)))
     fixes, mountings = ([r for r in records if isinstance(r, kind)] for kind in (GpsFix, Mounting))
-    starts = starts_of_fixes(fixes, times_s, crs, mountings, where)
-    if mode == "even":
-        if truth_folder is None:
-            raise BadInput("localizers.start", "even starts of a drive without true poses", "choose gps, tracking or none")
-        spread = even_starts(read_poses_csv(Path(truth_folder) / "poses.csv")[2], Window(), seed)
-        starts.xy_m, starts.yaw_rad = spread.xy_m, spread.yaw_rad
-    return starts
+    if mode != "even":
+        return starts_of_fixes(fixes, times_s, crs, mountings, where)
+    if truth_path is None:
+        raise BadInput("localizers.start", "even starts of a drive without true poses", "choose gps, tracking or none")
+    spread = even_starts(*read_poses_on_map(truth_path), Window(), seed)
+    # Motion is no part of the error that is spread: GPS tells it where it has a place on the map.
+    measured = starts_of_fixes(fixes if crs else [], times_s, crs, mountings, where)
+    n = len(spread.xy_m)
+    measured.xy_m[:n], measured.yaw_rad[:n] = spread.xy_m[: len(times_s)], spread.yaw_rad[: len(times_s)]
+    for name in ("speed_mps", "turn_rate_radps"):
+        own, other = getattr(measured, name)[:n], getattr(spread, name)[: len(times_s)]
+        own[np.isnan(own)] = other[np.isnan(own)]
+    return measured
 
 
 def starts_of_fixes(
@@ -135,11 +164,12 @@ def _lever(mountings: Sequence[Mounting]) -> np.ndarray:
     return places["lidar"] - places["gps"] if {"lidar", "gps"} <= set(places) else np.zeros(2)
 
 
-def even_starts(poses: np.ndarray, window: Window, seed: int) -> Starts:
+def even_starts(times_s: np.ndarray, poses: np.ndarray, window: Window, seed: int) -> Starts:
     """Starts spread evenly over the search window around true poses: the second set of starts of the evaluation.
 
     Args:
-        poses: (F, 4, 4) true T_map_lidar, NaN where unknown.
+        times_s: (F,) stamps.
+        poses: (F, 4, 4) true T_map_lidar, NaN where unknown; from one to the next they tell the motion, too.
         window: seen from the starts, in their own axes, the true poses lie all over it.
         seed: of the spread (scrambled Halton).
     """
@@ -149,5 +179,9 @@ def even_starts(poses: np.ndarray, window: Window, seed: int) -> Starts:
     yaw = np.arctan2(poses[:, 1, 0], poses[:, 0, 0]) + turn
     ahead, left = (units[:, :2] * (window.shift_m - 2 * window.step_m)).T
     xy = poses[:, :2, 3] - np.c_[np.cos(yaw) * ahead - np.sin(yaw) * left, np.sin(yaw) * ahead + np.cos(yaw) * left]
-    # Motion is no part of the error that is spread: it comes from the drive itself.
-    return Starts(xy, yaw, np.full(len(poses), np.nan), np.full(len(poses), np.nan))
+    starts = Starts(xy, yaw, np.full(len(poses), np.nan), np.full(len(poses), np.nan))
+    for i in range(1, len(poses)):
+        if np.isfinite(poses[i - 1 : i + 1]).all():
+            velocity, turn = velocity_between(poses[i - 1], poses[i], times_s[i] - times_s[i - 1])
+            starts.speed_mps[i], starts.turn_rate_radps[i] = velocity[0], turn[2]
+    return starts

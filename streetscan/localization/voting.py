@@ -19,6 +19,7 @@ from numba import njit
 
 from streetscan.classes import COLUMN, FURNITURE
 from streetscan.errors import BadInput
+from streetscan.geometry import angle_difference
 from streetscan.localization.keypoints import ObjectSet
 
 
@@ -146,16 +147,20 @@ def vote(
     n_x, n_y, n_z = window.shape
     turns = window.turns_rad
     votes = np.zeros(n_x * n_y * n_z, np.uint16)
-    cells = np.empty(len(pairs) * own.shape[1] * own.shape[2], np.int64)
+    cells, high_cells = np.empty((2, len(pairs) * own.shape[1] * own.shape[2]), np.int32)
     reaches = _reaches(observed, landmarks, pairs, window.shift_m * np.sqrt(2))
-    rest = observed.yaws_rad, theirs, landmarks.yaws_rad, pairs, reaches, turns
+    can_meet = np.abs(reaches[:, 0]) - reaches[:, 1] <= turns[-1] if window.turn_deg < 180 else reaches[:, 1] >= 0
+    pairs, reaches = pairs[can_meet], reaches[can_meet]
+    # How many quarter turns bring the boxes of a pair into line, but for the turn that is tried.
+    quarters = (observed.yaws_rad[pairs[:, 0]] - landmarks.yaws_rad[pairs[:, 1]]) / (np.pi / 2)
+    rest = theirs, pairs, quarters, reaches, turns
     stride = max(int(_COARSE_RAD / (turns[1] - turns[0]) + 1e-6), 1) if len(turns) > 1 else 1
     chosen = np.arange(0, len(turns), stride)
-    best = _vote(own, *rest, chosen, n_x, n_y, n_z, window.step_m, votes, cells)
+    best = _vote(own, *rest, chosen, n_x, n_y, n_z, window.step_m, votes, cells, high_cells)
     if stride > 1:
         leading = best[np.argsort(-best[:, 0], kind="stable")[:_N_LEADING], 4]
         chosen = np.unique(np.clip(leading[:, None] + np.arange(1 - stride, stride), 0, len(turns) - 1))
-        best = _vote(own, *rest, chosen, n_x, n_y, n_z, window.step_m, votes, cells)
+        best = _vote(own, *rest, chosen, n_x, n_y, n_z, window.step_m, votes, cells, high_cells)
     order = np.argsort(-best[:, 0], kind="stable")
     peaks: list[Peak] = []
     for row in order:
@@ -169,7 +174,10 @@ def vote(
 
 
 def _reaches(observed: ObjectSet, landmarks: ObjectSet, pairs: np.ndarray, shift_m: float) -> np.ndarray:
-    """(P, 2) middle and half width of the turns that can bring the two objects of a pair within a shift, radians; pi is every turn."""
+    """(P, 2) middle (within +-pi) and half width of the turns that can bring the two objects of a pair within a shift, radians.
+
+    A half width of pi is every turn, one below 0 none.
+    """
     own, theirs = (o.corners.mean(axis=(1, 2))[pairs[:, i], :2] for i, o in enumerate((observed, landmarks)))
     sizes = (np.hypot(*o.sizes_m[pairs[:, i], :2].T) for i, o in enumerate((observed, landmarks)))
     limit = shift_m + sum(sizes)
@@ -177,7 +185,7 @@ def _reaches(observed: ObjectSet, landmarks: ObjectSet, pairs: np.ndarray, shift
     with np.errstate(divide="ignore", invalid="ignore"):
         cosine = (a * a + b * b - limit * limit) / (2 * a * b)
     half = np.where(cosine < 1, np.arccos(np.clip(np.nan_to_num(cosine, nan=-1.0), -1, 1)), -1.0)
-    middle = np.arctan2(theirs[:, 1], theirs[:, 0]) - np.arctan2(own[:, 1], own[:, 0])
+    middle = angle_difference(np.arctan2(theirs[:, 1], theirs[:, 0]), np.arctan2(own[:, 1], own[:, 0]))
     return np.stack([middle, half], axis=1)
 
 
@@ -198,11 +206,12 @@ _PER_TURN = 4
 
 
 @njit(cache=True, nogil=True)
-def _vote(own, own_yaws, theirs, their_yaws, pairs, reaches, turns, chosen, n_x, n_y, n_z, step, votes, cells):
+def _vote(own, theirs, pairs, quarters, reaches, turns, chosen, n_x, n_y, n_z, step, votes, cells, high_cells):
     """Per turn the best cells: votes with neighbours, x, y, z, turn; the arrays are scratch, given and left empty."""
     n_layers, n_columns = own.shape[1], own.shape[2]
     best = np.zeros((len(chosen) * _PER_TURN, 5), np.int64)
-    turned = np.empty_like(own)
+    # Lengths in cells from here on; one or four columns, so that a bit mask wraps their numbers.
+    turned, placed = np.empty_like(own), theirs / step
     half_x, half_y, half_z = n_x // 2 + 0.5, n_y // 2 + 0.5, n_z // 2 + 0.5
     for at, t in enumerate(chosen):
         c, s = np.cos(turns[t]), np.sin(turns[t])
@@ -210,35 +219,40 @@ def _vote(own, own_yaws, theirs, their_yaws, pairs, reaches, turns, chosen, n_x,
             for layer in range(n_layers):
                 for q in range(n_columns):
                     x, y = own[m, layer, q, 0], own[m, layer, q, 1]
-                    turned[m, layer, q, 0], turned[m, layer, q, 1] = c * x - s * y, s * x + c * y
-                    turned[m, layer, q, 2] = own[m, layer, q, 2]
-        n, highest = 0, 0
+                    turned[m, layer, q, 0] = (c * x - s * y) / step - half_x
+                    turned[m, layer, q, 1] = (s * x + c * y) / step - half_y
+                    turned[m, layer, q, 2] = own[m, layer, q, 2] / step - half_z
+        n, n_high, highest = 0, 0, 0
         for p in range(len(pairs)):
-            off = abs(turns[t] - reaches[p, 0]) % (2 * np.pi)
+            off = abs(turns[t] - reaches[p, 0])
             if min(off, 2 * np.pi - off) > reaches[p, 1]:
                 continue
             o, m = pairs[p, 0], pairs[p, 1]
-            # How many quarter turns bring the boxes into line: the column of the counterpart moves by as many.
-            quarter = int(np.rint((own_yaws[o] + turns[t] - their_yaws[m]) / (np.pi / 2))) if n_columns == 4 else 0
+            # The column of the counterpart moves by as many.
+            quarter = int(np.rint(quarters[p] + turns[t] / (np.pi / 2)))
             for layer in range(n_layers):
                 for q in range(n_columns):
-                    k = (q + quarter) % n_columns
-                    x = (theirs[m, layer, k, 0] - turned[o, layer, q, 0]) / step + half_x
-                    y = (theirs[m, layer, k, 1] - turned[o, layer, q, 1]) / step + half_y
-                    z = (theirs[m, layer, k, 2] - turned[o, layer, q, 2]) / step + half_z
+                    k = (q + quarter) & (n_columns - 1)
+                    x = placed[m, layer, k, 0] - turned[o, layer, q, 0]
+                    y = placed[m, layer, k, 1] - turned[o, layer, q, 1]
+                    z = placed[m, layer, k, 2] - turned[o, layer, q, 2]
                     # Written so that NaN, a keypoint that does not exist, fails.
                     if not (x >= 0 and x < n_x and y >= 0 and y < n_y and z >= 0 and z < n_z):
                         continue
                     cell = (int(x) * n_y + int(y)) * n_z + int(z)
                     votes[cell] += 1
-                    highest = max(highest, votes[cell])
                     cells[n] = cell
                     n += 1
+                    # The last vote of a cell that is high at the end makes it high among those before it.
+                    if votes[cell] >= 2 * highest // 3:
+                        highest = max(highest, votes[cell])
+                        high_cells[n_high] = cell
+                        n_high += 1
         # Only cells nearly as high as the highest can be the best with their neighbours.
         least = max(2 * highest // 3, 1)
         kept = best[at * _PER_TURN : (at + 1) * _PER_TURN]
-        for i in range(n):
-            cell = cells[i]
+        for i in range(n_high):
+            cell = high_cells[i]
             if votes[cell] < least:
                 continue
             x, y, z = cell // n_z // n_y, cell // n_z % n_y, cell % n_z
@@ -323,7 +337,7 @@ def _refine(own, own_yaws, theirs, their_yaws, pairs, dx, dy, dz, turn, reach):
             total = 0.0
             for layer in range(n_layers):
                 for q in range(n_columns):
-                    k = (q + quarter) % n_columns
+                    k = (q + quarter) & (n_columns - 1)
                     ex = theirs[m, layer, k, 0] - (c * own[o, layer, q, 0] - s * own[o, layer, q, 1]) - dx
                     ey = theirs[m, layer, k, 1] - (s * own[o, layer, q, 0] + c * own[o, layer, q, 1]) - dy
                     ez = theirs[m, layer, k, 2] - own[o, layer, q, 2] - dz
@@ -354,7 +368,7 @@ def _refine(own, own_yaws, theirs, their_yaws, pairs, dx, dy, dz, turn, reach):
                 quarter = int(np.rint((own_yaws[o] + turn - their_yaws[m]) / (np.pi / 2))) if n_columns == 4 else 0
                 for layer in range(n_layers):
                     for q in range(n_columns):
-                        k = (q + quarter) % n_columns
+                        k = (q + quarter) & (n_columns - 1)
                         ax, ay, az = own[o, layer, q, 0], own[o, layer, q, 1], own[o, layer, q, 2]
                         bx, by, bz = theirs[m, layer, k, 0], theirs[m, layer, k, 1], theirs[m, layer, k, 2]
                         e2 = (bx - (c * ax - s * ay) - dx) ** 2 + (by - (s * ax + c * ay) - dy) ** 2 + (bz - az - dz) ** 2
@@ -427,7 +441,7 @@ def _covariance(own, own_yaws, theirs, their_yaws, agreeing, dx, dy, dz, turn, r
         weight, ex, ey, ez, mx, my = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
         for layer in range(n_layers):
             for q in range(n_columns):
-                k = (q + quarter) % n_columns
+                k = (q + quarter) & (n_columns - 1)
                 px, py = c * own[o, layer, q, 0] - s * own[o, layer, q, 1], s * own[o, layer, q, 0] + c * own[o, layer, q, 1]
                 a, b, d = (
                     theirs[m, layer, k, 0] - px - dx,

@@ -125,6 +125,18 @@ def choose_segment(poses: Iterable[FramePose], segment: int | None = None) -> di
     return rows
 
 
+def leave_out(poses: dict[int, FramePose], first: int, every: int) -> dict[int, FramePose]:
+    """The frames of a segment but every `every`-th from `first` on, by frame number: those to be localized on the others' street.
+
+    Raises:
+        BadInput: none is left.
+    """
+    kept = {i: pose for i, pose in poses.items() if i < first or (i - first) % every}
+    if not kept:
+        raise BadInput("registrars.left_out", f"all {len(poses)} frames are left out", "leave out fewer")
+    return kept
+
+
 def merge_frames(
     read_frames: Callable[[int, int], Iterator[MergeFrame]],
     poses: dict[int, FramePose],

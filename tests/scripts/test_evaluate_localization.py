@@ -40,6 +40,9 @@ def test_truth_scores_perfectly(localization_files, tmp_path):
     assert 5 < scores["good_landmarks"] < 60
     assert np.allclose(errors["start_m"], 5)
     assert (errors["phantom_share"] == 0).all()
+    assert scores["landmarks"] > 10
+    # Cars are no landmarks of a labelled map.
+    assert scores["movable_landmarks"] == 0
 
 
 def test_a_wrong_pose_that_is_believed_is_counted(localization_files, tmp_path):

@@ -16,6 +16,7 @@ from streetscan.registration.merging import (
     MergeSettings,
     SightRaster,
     choose_segment,
+    leave_out,
     look_through,
     make_merge_settings,
     merge_frames,
@@ -203,6 +204,13 @@ def test_segments_are_not_mixed():
     for bad in (lambda: choose_segment(rows, 4), lambda: choose_segment(rows[3:])):
         with pytest.raises(BadInput):
             bad()
+
+
+def test_frames_are_left_out():
+    poses = {i: FramePose(i, i / 10, "ok", 0) for i in range(3, 12)}
+    assert list(leave_out(poses, 5, 3)) == [3, 4, 6, 7, 9, 10]
+    with pytest.raises(BadInput, match="left_out"):
+        leave_out({5: poses[5]}, 5, 2)
 
 
 @pytest.mark.parametrize("bad", [{"moving": "blur"}, {"tile_m": 0}, {"classes": ["x"]}, {"size": 1}])

@@ -7,8 +7,10 @@ from streetscan.errors import BadInput
 from streetscan.frames import GpsFix, Mounting
 from streetscan.geodesy import grid_turn, unproject
 from streetscan.geometry import transform
-from streetscan.localization.starts import even_starts, starts_of_fixes
+from streetscan.localization.starts import even_starts, read_poses_on_map, starts_of_fixes
 from streetscan.localization.voting import Window
+from streetscan.registration.odometry import FramePose
+from streetscan.registration.pose_tables import tabulate_poses
 
 CRS = "EPSG:32632"
 EAST, NORTH = 456_000.0, 5_428_000.0
@@ -68,7 +70,7 @@ def test_no_fix_and_no_reference_system():
 
 def test_even_starts_fill_the_window_and_stay_inside():
     poses = np.tile(transform([EAST, NORTH, 115], [0, 0, 2.0]), (200, 1, 1))
-    starts = even_starts(poses, Window(), 1)
+    starts = even_starts(np.arange(200) / 10, poses, Window(), 1)
     turns, (c, s) = np.degrees(starts.yaw_rad - 2.0), (np.cos(starts.yaw_rad), np.sin(starts.yaw_rad))
     east, north = (np.array([EAST, NORTH]) - starts.xy_m).T
     offsets = np.c_[c * east + s * north, c * north - s * east]
@@ -77,4 +79,28 @@ def test_even_starts_fill_the_window_and_stay_inside():
     # As many starts in each quarter of the window.
     quarters = np.bincount((offsets > 0) @ [1, 2])
     assert np.ptp(quarters) < 15
-    assert np.array_equal(starts.xy_m, even_starts(poses, Window(), 1).xy_m)
+    assert np.array_equal(starts.xy_m, even_starts(np.arange(200) / 10, poses, Window(), 1).xy_m)
+
+
+def test_even_starts_know_the_motion_of_the_poses():
+    poses = np.array([transform([EAST + 0.8 * i, NORTH, 115], [0, 0, 0.01 * i]) for i in range(5)])
+    poses[3] = np.nan
+    starts = even_starts(np.arange(5) / 10, poses, Window(), 1)
+    assert np.allclose(starts.speed_mps[1:3], 8.0, atol=0.01)
+    assert np.allclose(starts.turn_rate_radps[1:3], 0.1, atol=1e-3)
+    assert np.isnan(starts.speed_mps[[0, 3, 4]]).all()
+
+
+def test_poses_on_the_street_of_a_drives_own_frames_are_those_they_were_registered_at(tmp_path):
+    rows = [FramePose(i, i / 10, "ok" if i != 12 else "too_few_points", int(i > 13)) for i in range(10, 16)]
+    for row in rows:
+        if row.is_posed:
+            row.T_segment_lidar = transform([row.index, 0, 0])
+    tabulate_poses(rows).to_csv(tmp_path / "poses.csv", index=False)
+    times_s, poses = read_poses_on_map(tmp_path / "poses.csv")
+    assert len(poses) == 16
+    known = np.flatnonzero(np.isfinite(poses).all(axis=(1, 2)))
+    # Frame 12 was not registered, and the frames after 13 are of another segment.
+    assert known.tolist() == [10, 11, 13]
+    assert np.allclose(poses[13, :3, 3], [13, 0, 0])
+    assert times_s[11] == 1.1
