@@ -21,7 +21,9 @@ rule all:
     """Tables and report of the run, the products of every labelled map, poses and streets of registered drives, poses on maps, clouds of keyframes, and a page for every drive."""
     default_target: True
     input:
-        [f"results/tabulate_benchmarks/{config['run']}/report.html"] if LABELLED or REGISTERED or SCORED_LOCALIZATIONS else [],
+        [f"results/tabulate_benchmarks/{config['run']}/report.html"]
+        if LABELLED or REGISTERED or SCORED_LOCALIZATIONS or SCORED_CALIBRATIONS
+        else [],
         for_pairs("results/clean_map/{dataset}/{split}/{model}/static.laz", LABELLED),
         for_pairs("results/extract_objects/{dataset}/{split}/{model}/objects.gpkg", LABELLED),
         for_drives("results/register_frames/{drive}/{registrar}/poses.tum", REGISTERED),

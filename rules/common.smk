@@ -458,6 +458,9 @@ def has_poses(drive):
     return drive_facts(drive)["reader"] == "simulate" or "poses" in drive_facts(drive).get("truth", {})
 
 
+SCORED_CALIBRATIONS = [
+    d for d in CALIBRATED if has_poses(d) and (step_of_drive(d) == "simulate_drive" or "extrinsics" in drive_facts(d)["truth"])
+]
 LOCALIZED = localizations()
 SCORED_LOCALIZATIONS = [(*names, place_of(names[1])) for names in LOCALIZED if has_poses(names[1])]
 
