@@ -217,6 +217,14 @@ class SimulatedRecording:
         """T_camera_lidar (4, 4)."""
         return geometry.invert(mount.T_vehicle_camera) @ self._lidar.T_vehicle_lidar
 
+    def true_ranges(self, stamp_ns: int, directions: np.ndarray) -> np.ndarray:
+        """How far the camera sees at an image's stamp: metres (N,) along directions (N, 3) in frame `camera`; inf where nothing is hit."""
+        time_s = (stamp_ns - self._start_ns) / _NS - self._drive.camera.time_offset_s
+        T_map_camera = self._vehicle_poses(np.array([time_s]))[0] @ self._drive.camera.T_vehicle_camera
+        rays = directions / np.linalg.norm(directions, axis=1, keepdims=True) @ T_map_camera[:3, :3].T
+        origins = np.tile(T_map_camera[:3, 3], (len(rays), 1))
+        return self._caster.cast(origins, rays, np.full(len(rays), time_s)).distances_m
+
     def write_truth(self, folder: Path, times_ns: list[int]) -> dict:
         """Write the vehicle's trajectory, the objects' motion and what changed in the street; says in a mapping what there is."""
         trajectory = self._trajectory

@@ -37,6 +37,8 @@ def inputs(tmp_path):
         "streets": [],
         "frames": [],
         "localizations": [],
+        "reconstructions": [],
+        "models": [],
         "localization_pictures": [],
     }
     for dataset, _ in EVALUATED:
