@@ -13,6 +13,7 @@ include: "rules/data.smk"
 include: "rules/segmentation.smk"
 include: "rules/registration.smk"
 include: "rules/localization.smk"
+include: "rules/detection.smk"
 include: "rules/benchmarks.smk"
 
 
