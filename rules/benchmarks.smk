@@ -207,6 +207,35 @@ rule evaluate_localization:
         "../scripts/evaluate_localization.py"
 
 
+rule evaluate_reconstruction:
+    """Reconstructed keyframes of a drive against its truth: scale, turns, ranges of the dense cloud."""
+    input:
+        code=library("evaluate_reconstruction"),
+        facts=f"{DRIVES}/{{drive}}.yaml",
+        schema=f"{HOME}/config/drive.schema.yaml",
+        truth=drive_file("truth"),
+        summaries=lambda w: for_keyframes("results/reconstruct_keyframe/{drive}/{keyframe}/summary.csv", [w.drive]),
+        models=lambda w: for_keyframes("results/reconstruct_keyframe/{drive}/{keyframe}/model", [w.drive]),
+    output:
+        keyframes="results/evaluate_reconstruction/{drive}/keyframes.csv",
+        scores="results/evaluate_reconstruction/{drive}/scores.csv",
+    log:
+        "results/evaluate_reconstruction/{drive}/scores.log",
+    conda:
+        "../envs/streetscan.yaml"
+    resources:
+        mem_mb=4000,
+    params:
+        **config["evaluate_reconstruction"],
+        drive=lambda w: w.drive,
+        street=lambda w: street_of(w) if step_of_drive(w.drive) == "simulate_drive" else None,
+        data_root=config["data_root"],
+        seed=config["seed"],
+        n_threads=config["n_threads"],
+    script:
+        "../scripts/evaluate_reconstruction.py"
+
+
 rule tabulate_benchmarks:
     """The papers' tables with ours beside theirs, as CSV, Markdown and LaTeX, and one report of the run."""
     input:
@@ -228,6 +257,8 @@ rule tabulate_benchmarks:
         localization_pictures=for_localizations(
             "results/localize_frames/{dataset}/{drive}/{labels}/{localizer}/pictures", SCORED_LOCALIZATIONS
         ),
+        reconstructions=expand("results/evaluate_reconstruction/{drive}/scores.csv", drive=SCORED_CALIBRATIONS),
+        models=for_keyframes("results/reconstruct_keyframe/{drive}/{keyframe}/model", CALIBRATED),
     output:
         scores="results/tabulate_benchmarks/{run}/scores.csv",
         report="results/tabulate_benchmarks/{run}/report.html",
@@ -246,6 +277,8 @@ rule tabulate_benchmarks:
         registered=REGISTERED,
         merged=MERGED,
         localized=SCORED_LOCALIZATIONS,
+        calibrated=SCORED_CALIBRATIONS,
+        keyframes=pairs(for_keyframes("{drive}/{keyframe}", CALIBRATED)),
         facts={dataset: facts(dataset)["published"] for dataset, _ in LABELLED if "published" in facts(dataset)},
         realism={
             "simulated": [d for d, _ in SIMULATED],
