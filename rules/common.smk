@@ -461,6 +461,7 @@ def has_poses(drive):
 SCORED_CALIBRATIONS = [
     d for d in CALIBRATED if has_poses(d) and (step_of_drive(d) == "simulate_drive" or "extrinsics" in drive_facts(d)["truth"])
 ]
+SCORED_DETECTIONS = [d for d in CALIBRATED if has_labels(d)]
 LOCALIZED = localizations()
 SCORED_LOCALIZATIONS = [(*names, place_of(names[1])) for names in LOCALIZED if has_poses(names[1])]
 

@@ -40,6 +40,21 @@ def reconstruction_scores(paths: Sequence[str], drives: Sequence[str]) -> list[d
     return rows
 
 
+def detection_scores(paths: Sequence[str]) -> list[dict]:
+    """Rows of the tidy scores: what could move, found in images and lidar frames, per drive and class.
+
+    Args:
+        paths: `evaluate_detections/<drive>/scores.csv`.
+    """
+    rows = []
+    for path in paths:
+        drive = Path(path).parent.name
+        for r in read_csv(path, ("sensor", "class", "metric", "value", "unit", "n"), "evaluate_detections").to_dict("records"):
+            row = f"{drive}/{r['class']}"
+            rows.append(make_score("detection", row, "", r["metric"], r["value"], r["unit"], r["n"], drive, r["sensor"]))
+    return rows
+
+
 def draw_reconstructions(models: Sequence[str], keyframes: Sequence[tuple[str, str]]) -> list[Section]:
     """A section per drive with the pictures of its keyframes.
 

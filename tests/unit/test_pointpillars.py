@@ -89,7 +89,7 @@ class TestFeatures:
 
     def test_empty_places_of_a_pillar_count_as_in_the_published_code(self):
         torch.manual_seed(0)
-        network = PointPillars(TINY).eval()
+        network = PointPillars(replace(TINY, has_empty_places=True)).eval()
         encoder = network.pillar_encoder
         with torch.no_grad():
             encoder.bn.bias.fill_(0.7)  # what a place of zeros answers

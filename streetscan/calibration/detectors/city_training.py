@@ -36,7 +36,7 @@ class ImageSchedule:
         seed: of initial weights and cuts.
     """
 
-    n_steps: int = 480
+    n_steps: int = 2000
     batch: int = 4
     cut: tuple[int, int] = (192, 256)
     learning_rate: float = 3e-3

@@ -40,6 +40,8 @@ class PillarSettings:
         sizes_m: width, length, height of each class' anchors.
         bottoms_m: z of the anchors' lower face.
         uses_intensity: whether intensities enter; else zeros.
+        has_empty_places: whether a pillar that is not full holds places whose features are zeros and compete with its points, as in
+            the published code.
         generator_version: of the city the network was trained on; 0 for real recordings.
     """
 
@@ -54,6 +56,7 @@ class PillarSettings:
     sizes_m: tuple[tuple[float, ...], ...]
     bottoms_m: tuple[float, ...]
     uses_intensity: bool
+    has_empty_places: bool
     generator_version: int = 0
 
     def __post_init__(self):
@@ -85,7 +88,7 @@ def street_settings(generator_version: int = 0) -> PillarSettings:
         range_m=(-20.0, -20.0, -3.0, 20.0, 20.0, 2.6), pillar_m=0.2, max_points=32, pillar_channels=16, channels=(16, 32, 64),
         n_layers=(3, 5, 5), neck_channels=32, classes=("pedestrian", "tram_bus", "car"),
         sizes_m=((0.6, 0.6, 1.7), (2.5, 11.0, 3.2), (1.85, 4.4, 1.55)), bottoms_m=(-1.75, -1.7, -1.75), uses_intensity=False,
-        generator_version=generator_version,
+        has_empty_places=False, generator_version=generator_version,
     )  # fmt: skip
 
 
@@ -94,6 +97,7 @@ KITTI = PillarSettings(
     range_m=(0.0, -39.68, -3.0, 69.12, 39.68, 1.0), pillar_m=0.16, max_points=32, pillar_channels=64, channels=(64, 128, 256),
     n_layers=(3, 5, 5), neck_channels=128, classes=("pedestrian", "pedestrian", "car"),
     sizes_m=((0.6, 0.8, 1.73), (0.6, 1.76, 1.73), (1.6, 3.9, 1.56)), bottoms_m=(-0.6, -0.6, -1.78), uses_intensity=True,
+    has_empty_places=True,
 )  # fmt: skip
 
 
@@ -104,20 +108,17 @@ class PillarEncoder(nn.Module):
         super().__init__()
         self._settings = settings
         self.conv = nn.Conv1d(_N_FEATURES, settings.pillar_channels, 1, bias=False)
-        self.bn = nn.BatchNorm1d(settings.pillar_channels, eps=1e-3, momentum=0.01)
+        self.bn = nn.BatchNorm1d(settings.pillar_channels, eps=1e-3)
 
     def forward(self, features: torch.Tensor, pillars: torch.Tensor, counts: torch.Tensor, n_frames: int) -> torch.Tensor:
-        """(B, C, H, W) of the point features (N, 9), their pillar (N,) in B * H * W, and the points of each of those pillars.
-
-        A pillar that is not full also holds empty places, as in the published code, whose features are zeros.
-        """
+        """(B, C, H, W) of the point features (N, 9), their pillar (N,) in B * H * W, and the points of each of those pillars."""
         settings = self._settings
         points = torch.relu(self.bn(self.conv(features.T[None]))[0].T)
         picture = points.new_zeros(n_frames * settings.shape[0] * settings.shape[1], settings.pillar_channels)
         picture = picture.scatter_reduce(0, pillars[:, None].expand_as(points), points, "amax")
-        of_empty = torch.relu(self.bn.bias - self.bn.running_mean * self.bn.weight / torch.sqrt(self.bn.running_var + self.bn.eps))
-        is_part_full = (counts > 0) & (counts < settings.max_points)
-        if not self.training:
+        if settings.has_empty_places:
+            of_empty = torch.relu(self.bn.bias - self.bn.running_mean * self.bn.weight / torch.sqrt(self.bn.running_var + self.bn.eps))
+            is_part_full = (counts > 0) & (counts < settings.max_points)
             picture = torch.where(is_part_full[:, None], torch.maximum(picture, of_empty), picture)
         return picture.reshape(n_frames, *settings.shape, -1).permute(0, 3, 1, 2)
 
@@ -178,7 +179,7 @@ class Head(nn.Module):
 
 
 def _convolution(layer: nn.Module) -> list[nn.Module]:
-    return [layer, nn.BatchNorm2d(layer.out_channels, eps=1e-3, momentum=0.01), nn.ReLU(inplace=True)]
+    return [layer, nn.BatchNorm2d(layer.out_channels, eps=1e-3), nn.ReLU(inplace=True)]
 
 
 class PointPillars(nn.Module):

@@ -39,8 +39,8 @@ class LidarSchedule:
         seed: of initial weights and batches.
     """
 
-    n_steps: int = 800
-    batch: int = 2
+    n_steps: int = 1400
+    batch: int = 3
     learning_rate: float = 3e-3
     weight_decay: float = 1e-2
     min_points: int = 5
