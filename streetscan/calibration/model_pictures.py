@@ -36,8 +36,8 @@ def write_pictures(folder: Path, made: Reconstruction, images: Sequence[np.ndarr
         image, own = images[made.reference], s.image_of == made.reference
         pixels, rows = s.pixels[own], s.point_of[own]
         hues = _hues(len(s.points))
-        pictures["sparse"] = _view(s.points, s.colours, 0.12)
-        pictures["points"] = _view(s.points, hues, 0.15)
+        pictures["sparse"] = _view(s.points, s.colours, 0.16)
+        pictures["points"] = _view(s.points, hues, 0.2)
         pictures["features"] = _dots(image, pixels, hues[rows])
         pictures["dynamic"] = _view(s.points, _by_label(s.labels), 0.12)
         if masks is not None:
@@ -46,19 +46,19 @@ def write_pictures(folder: Path, made: Reconstruction, images: Sequence[np.ndarr
             seen = project_pinhole(s.points[rows], camera.K, made.projection.T_camera_sfm)
             pictures["errors"] = _arrows(image, pixels, seen)
     if made.dense is not None and len(made.dense):
-        pictures["dense"] = _view(made.dense.points, made.dense.colours, 0.03)
+        pictures["dense"] = _view(made.dense.points, made.dense.colours, 0.06)
         if masks is not None:
             moving = np.where((made.dense.labels > 0)[:, None], _by_label(made.dense.labels), made.dense.colours)
-            pictures["dynamic"] = _view(made.dense.points, moving.astype(np.uint8), 0.03)
+            pictures["dynamic"] = _view(made.dense.points, moving.astype(np.uint8), 0.06)
     for name, picture in pictures.items():
         write_picture(folder / f"{name}.png", picture)
 
 
 def _view(points: np.ndarray, colours: np.ndarray, point_size: float) -> np.ndarray:
     """The cloud from behind and above the camera; sizes are relative to the depth of the scene."""
-    # A tenth of the middle depth is about a metre in a street; it makes the view the same without a unit.
-    unit = max(float(np.median(points[:, 2])), 1e-6) / 10
-    view = View(position=(0.0, -4 * unit, 4 * unit), target=(0.0, 12 * unit, -0.5 * unit))
+    # A twentieth of the depth most points are within is about a metre in a street; it makes the view the same without a unit.
+    unit = max(float(np.quantile(points[:, 2], 0.8)), 1e-6) / 20
+    view = View(position=(0.0, -9 * unit, 6 * unit), target=(0.0, 12 * unit, 1.5 * unit))
     return render_cloud(points @ _UPRIGHT.T, colours, view, point_size * unit, background=(250, 250, 250), edge_shading=0.3)
 
 

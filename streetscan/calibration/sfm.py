@@ -231,16 +231,31 @@ class _Colmap:
     def map(self) -> pycolmap.Reconstruction:
         """The reconstruction with the most images; ReconstructionFailed when there is none."""
         if self._settings.mapper == "global":
-            models = pycolmap.global_mapping(self._database, self._folder, self._output, self._global_options())
+            models = list(pycolmap.global_mapping(self._database, self._folder, self._output, self._global_options()).values())
         else:
-            models = pycolmap.incremental_mapping(self._database, self._folder, self._output, self._incremental_options())
+            models = self._map_incrementally()
         if not models:
             raise ReconstructionFailed("not_registered", "no two images make a start: they hardly move or have too little in common")
-        model = max(models.values(), key=lambda m: (m.num_reg_images(), m.num_points3D()))
+        model = max(models, key=lambda m: (m.num_reg_images(), m.num_points3D()))
         if model.num_reg_images() < 3 or model.num_points3D() < self._settings.min_points:
             found = f"{model.num_reg_images()} of {self._images} images registered, {model.num_points3D()} points"
             raise ReconstructionFailed("not_registered", found)
         return model
+
+    def _map_incrementally(self) -> list[pycolmap.Reconstruction]:
+        """Reconstructions that begin with the first and the last image, or with COLMAP's choice where that does not take in all images.
+
+        ASSUME: the widest base line first. Two neighbours of a forward drive leave the direction of motion open, and the adjustment of
+        all cameras stays in the wrong valley they begin in.
+        """
+        models = []
+        for pair in ((self._ids[0], self._ids[-1]), (-1, -1)):
+            options = self._incremental_options()
+            options.init_image_id1, options.init_image_id2 = pair
+            models += pycolmap.incremental_mapping(self._database, self._folder, self._output, options).values()
+            if any(m.num_reg_images() == self._images for m in models):
+                break
+        return models
 
     def triangulate(self, model: pycolmap.Reconstruction) -> pycolmap.Reconstruction:
         """The model with the points of all verified matches, its cameras as they are."""
