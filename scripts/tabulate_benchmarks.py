@@ -22,7 +22,8 @@ def main(
             evaluate_views `views`, per pair in `viewed`; of evaluate_registration `registrations` and `trajectories`, per pair in
             `registered`; of merge_frames `streets`, per pair in `merged`; of evaluate_frames `grids` and of show_frames `frames`, per
             drive; of evaluate_localization `localizations` and of localize_frames `localization_pictures`, per name in `localized`;
-            of evaluate_reconstruction `reconstructions` and of evaluate_detections `detections`, per drive in `calibrated`; of reconstruct_keyframe `models`, per `keyframes`;
+            of evaluate_reconstruction `reconstructions`, per drive in `calibrated`; of evaluate_detections `detections`; of
+            reconstruct_keyframe `models`, per `keyframes`;
             `realism` (realism.csv, one per name in `compared`), `densities` (density.csv, one per key of `static_scans`).
         outputs: `scores`, `report` (files), `tables`, `figures` (folders).
         evaluated, trained, viewed: (data set, model); registered, merged: (drive, registrar); localized: (data set, drive, labels, ...).

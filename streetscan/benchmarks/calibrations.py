@@ -51,7 +51,8 @@ def detection_scores(paths: Sequence[str]) -> list[dict]:
         drive = Path(path).parent.name
         for r in read_csv(path, ("sensor", "class", "metric", "value", "unit", "n"), "evaluate_detections").to_dict("records"):
             row = f"{drive}/{r['class']}"
-            rows.append(make_score("detection", row, "", r["metric"], r["value"], r["unit"], r["n"], drive, r["sensor"]))
+            # What n counts differs from metric to metric; evaluate_detections has each.
+            rows.append(make_score("detection", row, "", r["metric"], r["value"], r["unit"], dataset=drive, method=r["sensor"]))
     return rows
 
 
