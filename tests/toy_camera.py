@@ -35,7 +35,9 @@ def render(T_first_camera: np.ndarray, camera: CameraModel) -> tuple[np.ndarray,
     blurred = cv2.GaussianBlur(value, None, 0.6 * _FINER)
     image = cv2.resize(blurred, (camera.width, camera.height), interpolation=cv2.INTER_AREA)
     # With three rays to a pixel's side, the middle one goes through its centre.
-    return np.repeat(np.rint(np.clip(image, 0, 255)).astype(np.uint8)[..., None], 3, axis=2), depth[_FINER // 2 :: _FINER, _FINER // 2 :: _FINER]
+    return np.repeat(np.rint(np.clip(image, 0, 255)).astype(np.uint8)[..., None], 3, axis=2), depth[
+        _FINER // 2 :: _FINER, _FINER // 2 :: _FINER
+    ]
 
 
 def toy_images(n: int, camera: CameraModel, step_m: float = 0.5) -> tuple[list[np.ndarray], np.ndarray, list[np.ndarray]]:

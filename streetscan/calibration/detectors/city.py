@@ -39,11 +39,11 @@ class CitySettings:
         generator_version: of the city the network was trained on.
     """
 
-    width: int = 644
+    width: int = 448
     channels: tuple[int, ...] = (16, 32, 64, 96)
     min_centre: float = 0.2
-    min_pixels: int = 12
-    centre_reach: int = 4
+    min_pixels: int = 8
+    centre_reach: int = 3
     classes: tuple[str, ...] = _OUTPUTS
     generator_version: int = 0
 
@@ -58,8 +58,8 @@ class CitySettings:
             raise BadInput("width", f"{self.width} pixels", f"give {2 * _COARSEST} or more")
 
 
-def _layer(n_in: int, n_out: int, stride: int = 1) -> nn.Sequential:
-    return nn.Sequential(nn.Conv2d(n_in, n_out, 3, stride, 1, bias=False), nn.BatchNorm2d(n_out), nn.ReLU())
+def _layer(n_in: int, n_out: int, stride: int = 1, spread: int = 1) -> nn.Sequential:
+    return nn.Sequential(nn.Conv2d(n_in, n_out, 3, stride, spread, spread, bias=False), nn.BatchNorm2d(n_out), nn.ReLU())
 
 
 class CityNetwork(nn.Module):
@@ -73,7 +73,8 @@ class CityNetwork(nn.Module):
         self.encoders = nn.ModuleList([
             nn.Sequential(_layer(a, b, 2), _layer(b, b)),
             nn.Sequential(_layer(b, c, 2), _layer(c, c), _layer(c, c)),
-            nn.Sequential(_layer(c, d, 2), *(_layer(d, d) for _ in range(3))),
+            # A car nearby fills half the picture: the coarsest features look far around.
+            nn.Sequential(_layer(c, d, 2), *(_layer(d, d, spread=s) for s in (1, 2, 4))),
         ])  # fmt: skip
         self.decoders = nn.ModuleList([_layer(d + c, c), _layer(c + b, b), _layer(b + a, 2 * a)])
         self.heads = nn.Conv2d(2 * a, 1 + len(settings.classes) + 3, 1)

@@ -39,9 +39,9 @@ class ImageSchedule:
     n_steps: int = 2000
     batch: int = 4
     cut: tuple[int, int] = (192, 256)
-    learning_rate: float = 3e-3
+    learning_rate: float = 2e-3
     weight_decay: float = 1e-3
-    scales: tuple[float, float] = (0.7, 2.0)
+    scales: tuple[float, float] = (0.75, 1.6)
     averaging: float = 0.99
     class_weights: tuple[float, ...] = (1.0, 2.0, 4.0, 1.5)
     seed: int = 1
@@ -138,7 +138,7 @@ def batch_loss(network: CityNetwork, cuts: list[TrainingPicture], weights: torch
     of_heat = ((found_heat - heat) ** 2 * (1 + 20 * heat)).mean()
     moving = known.float()
     of_votes = ((found_votes - votes).abs().sum(1) * moving).sum() / moving.sum().clamp(min=1)
-    return of_classes + 4 * of_heat + 0.3 * of_votes
+    return of_classes + of_heat + 0.1 * of_votes
 
 
 def make_targets(cut: TrainingPicture) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:

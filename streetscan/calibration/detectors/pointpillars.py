@@ -305,9 +305,9 @@ class Choice:
         max_boxes: of a frame.
     """
 
-    min_score: float = 0.3
+    min_score: float = 0.25
     max_overlap: float = 0.1
-    n_looked_at: int = 300
+    n_looked_at: int = 1000
     max_boxes: int = 100
 
 
