@@ -278,8 +278,6 @@ rule tabulate_benchmarks:
         registered=REGISTERED,
         merged=MERGED,
         localized=SCORED_LOCALIZATIONS,
-        calibrated=SCORED_CALIBRATIONS,
-        keyframes=pairs(for_keyframes("{drive}/{keyframe}", CALIBRATED)),
         facts={dataset: facts(dataset)["published"] for dataset, _ in LABELLED if "published" in facts(dataset)},
         realism={
             "simulated": [d for d, _ in SIMULATED],

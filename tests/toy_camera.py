@@ -1,16 +1,32 @@
 """A street of textured planes seen by a camera, with exact depths: for tests of the calibration from images."""
 
+from dataclasses import dataclass
+from pathlib import Path
+
 import cv2
 import numpy as np
 
-from streetscan.frames import CameraImage, CameraModel
+from streetscan.frames import CameraImage, CameraModel, LidarFrame
 from streetscan.geometry import invert, transform_of_rotation
 from streetscan.io.images import encode_png
+from streetscan.io.mcap import open_drive_writer
+from streetscan.registration.odometry import FramePose
 
 # Planes n . p = d of the frame of the first camera (x right, y down, z forward): road, slope, house fronts, the end of the street.
+START_S = 1_700_000_000.0
 # Rays along a pixel's side.
 _FINER = 3
 _PLANES = ((0, 1, 0.06, 1.6), (1, 0, 0, 5.0), (-1, 0, 0, 6.0), (0, -0.25, 1, 30.0))
+
+
+@dataclass
+class ToyStreet:
+    """Images, poses T_first_camera (n, 4, 4) and depths along z of a drive through the street."""
+
+    camera: CameraModel
+    images: list[np.ndarray]
+    poses: np.ndarray
+    depths: list[np.ndarray]
 
 
 def toy_camera(width: int = 400, height: int = 300, focal_px: float = 300.0) -> CameraModel:
@@ -50,6 +66,30 @@ def toy_images(n: int, camera: CameraModel, step_m: float = 0.5) -> tuple[list[n
 def camera_images(images: list[np.ndarray], times_ns: list[int]) -> list[CameraImage]:
     """Images as a drive holds them."""
     return [CameraImage(int(t), encode_png(image), "png") for image, t in zip(images, times_ns, strict=True)]
+
+
+def lidar_poses(n_images: int) -> list[FramePose]:
+    """Poses of a lidar that sits at the camera, at 10 Hz, as many frames before and after the images as they last."""
+    poses = []
+    for i in range(-n_images, 2 * n_images):
+        T = np.eye(4)
+        T[:3, 3] = 0.5 * i, 0, 0
+        poses.append(FramePose(i + n_images, START_S + 0.1 * i, "ok", 0, T_segment_lidar=T))
+    return poses
+
+
+def write_camera_drive(path: Path, n_images: int) -> Path:
+    """Write a drive of images at 10 Hz with a few lidar points beside each; its path."""
+    camera = toy_camera()
+    images = toy_images(n_images, camera)[0]
+    times_ns = [round(START_S * 1e9) + i * 100_000_000 for i in range(n_images)]
+    with open_drive_writer(path) as writer:
+        writer.write_calibration(camera, times_ns[0])
+        for time_ns in times_ns:
+            writer.write_lidar(LidarFrame(time_ns, np.ones((3, 3), np.float32)))
+        for image in camera_images(images, times_ns):
+            writer.write_image(image)
+    return path
 
 
 def _shade(u, v, T, camera: CameraModel) -> tuple[np.ndarray, np.ndarray]:

@@ -3,7 +3,7 @@
 Source: Nagy (2020), 4.3.1 (points of Fig. 4.2, reprojection error), Figs. 4.2-4.4.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from streetscan.benchmarks.published import title
@@ -21,15 +21,20 @@ _PICTURES = {
 }  # fmt: skip
 
 
-def reconstruction_scores(paths: Sequence[str], drives: Sequence[str]) -> list[dict]:
+def calibration_scores(inputs: Mapping[str, Sequence[str]]) -> list[dict]:
+    """Rows of the tidy scores of `reconstructions` (evaluate_reconstruction) and `detections` (evaluate_detections)."""
+    return reconstruction_scores(inputs["reconstructions"]) + detection_scores(inputs["detections"])
+
+
+def reconstruction_scores(paths: Sequence[str]) -> list[dict]:
     """Rows of the tidy scores: one row per drive in the table `reconstruction`, and the thesis' single figures.
 
     Args:
         paths: `evaluate_reconstruction/<drive>/scores.csv`, one per drive.
-        drives: their names.
     """
     rows = []
-    for path, drive in zip(paths, drives, strict=True):
+    for path in paths:
+        drive = Path(path).parent.name
         found = read_csv(path, ("metric", "value", "unit", "n"), "evaluate_reconstruction")
         found["unit"] = found["unit"].fillna("")
         for r in found.to_dict("records"):
@@ -56,14 +61,13 @@ def detection_scores(paths: Sequence[str]) -> list[dict]:
     return rows
 
 
-def draw_reconstructions(models: Sequence[str], keyframes: Sequence[tuple[str, str]]) -> list[Section]:
+def draw_reconstructions(models: Sequence[str]) -> list[Section]:
     """A section per drive with the pictures of its keyframes.
 
     Args:
-        models: folders of reconstruct_keyframe, one per keyframe.
-        keyframes: (drive, keyframe) of each.
+        models: folders of reconstruct_keyframe, `<drive>/<keyframe>/model`, one per keyframe.
     """
-    sections = []
+    sections, keyframes = [], [Path(path).parts[-3:-1] for path in models]
     for drive in dict.fromkeys(d for d, _ in keyframes):
         parts = []
         for folder, (of, keyframe) in zip(map(Path, models), keyframes, strict=True):

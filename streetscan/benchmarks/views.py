@@ -19,6 +19,8 @@ EYE_HEIGHT_M = 2.2
 _PITCH = -0.07
 _MEASURED = {"intensity": "Intensity", "rgb": "Colours of the cameras"}
 _REACH_M, _CELL_M, _N_DIRECTIONS, _MAX_PLACES = 35.0, 4.0, 16, 500
+# The ground that is looked from is scanned better than this share of the ground; how much what stands at the feet counts.
+_SCANNED_QUANTILE, _BLOCKING = 0.8, 2.0
 
 
 class Viewpoint(NamedTuple):
@@ -28,41 +30,47 @@ class Viewpoint(NamedTuple):
     yaw_rad: float
 
 
-def choose_viewpoint(points: np.ndarray, labels: np.ndarray) -> Viewpoint:
-    """A place on the ground that sees much of many classes.
+def choose_viewpoint(points: np.ndarray, labels: np.ndarray, counts: np.ndarray | None = None) -> Viewpoint:
+    """A place on the road that has a free view of much of many classes.
 
-    Ground cells of 4 m (up to 500, evenly spread) and 16 directions are tried; the score of a direction is the sum over the classes of the
-    logarithm of what a wedge of 60 degrees holds of it up to 35 m away, so that one rare class outweighs much of a common one.
+    Well-scanned ground cells of 4 m (up to 500, evenly spread: the scanner passed there) and 16 directions are tried; the score of a
+    direction is the sum over the classes of the logarithm of what a wedge of 60 degrees holds of it from 6 to 35 m away, so that one rare
+    class outweighs much of a common one, less twice the logarithm of what stands in its first 6 m.
 
     Args:
         points: (V, 3) float64, frame `map`, metres.
         labels: (V,) uint8.
+        counts: (V,) measured points that each of them stands for; None: one.
     Returns:
         the viewpoint, 2.2 m above the ground there; without ground, above the lowest points.
     """
     floor = labels == GROUND if (labels == GROUND).any() else points[:, 2] <= np.quantile(points[:, 2], 0.1)
     cells, first = _cells(points, _CELL_M)
-    counts = np.zeros((len(cells), N_CLASSES))
+    held = np.zeros((len(cells), N_CLASSES))
     known = labels != UNLABELLED
-    np.add.at(counts, (first[known], labels[known]), 1)
+    np.add.at(held, (first[known], labels[known]), 1)
+    standing = np.bincount(first[~floor], minlength=len(cells))
+    scanned = np.bincount(first[floor], None if counts is None else counts[floor], minlength=len(cells))
     centres = (cells + 0.5) * _CELL_M
-    has_floor = np.bincount(first[floor], minlength=len(cells)) > 0
     directions = np.arange(_N_DIRECTIONS) * 2 * np.pi / _N_DIRECTIONS
-    best = (-1.0, -1.0, centres[0], 0.0)
+    best = (-np.inf, -np.inf, centres[0], 0.0)
     middle = np.median(points[:, :2], axis=0)
-    candidates = centres[has_floor]
-    for centre in candidates[:: -(-len(candidates) // _MAX_PLACES)]:
+    candidates = np.flatnonzero(scanned >= np.quantile(scanned[scanned > 0], _SCANNED_QUANTILE))
+    for here in candidates[:: -(-len(candidates) // _MAX_PLACES)]:
+        centre = centres[here]
         offset = centres - centre
         distance = np.hypot(*offset.T)
-        # Things at the feet fill the picture and hide the rest.
-        near = (distance > 1.5 * _CELL_M) & (distance < _REACH_M)
-        azimuth = np.arctan2(offset[near, 1], offset[near, 0])
+        seen = (distance > 1.5 * _CELL_M) & (distance < _REACH_M)
+        at_feet = (distance > 0) & (distance <= 1.5 * _CELL_M)
+        azimuth = np.arctan2(offset[:, 1], offset[:, 0])
         for yaw in directions:
-            inside = np.cos(azimuth - yaw) > np.cos(np.radians(30))
-            score = float(np.log1p(counts[near][inside].sum(axis=0)).sum())
+            ahead = np.cos(azimuth - yaw) > np.cos(np.radians(30))
+            # Things at the feet fill the picture and hide the rest.
+            blocking = standing[here] + standing[at_feet & ahead].sum()
+            score = float(np.log1p(held[seen & ahead].sum(axis=0)).sum() - _BLOCKING * np.log1p(blocking))
             candidate = (round(score, 6), -float(np.hypot(*(centre - middle))), centre, float(yaw))
             best = max(best, candidate, key=lambda c: c[:2])
-    centre, yaw = best[2], best[3]
+    centre, yaw = best[2:]
     on_floor = points[floor]
     nearest = np.argsort(np.hypot(*(on_floor[:, :2] - centre).T), kind="stable")[:50]
     return Viewpoint(np.array([*centre, np.median(on_floor[nearest, 2]) + EYE_HEIGHT_M]), yaw)
@@ -107,7 +115,7 @@ def draw_views(
         the map's long side lies across; the view from eye level shows points.
     """
     centres = grid.centres
-    seen_from = choose_viewpoint(centres, predicted)
+    seen_from = choose_viewpoint(centres, predicted, grid.counts)
     yaw = _principal_yaw(centres)
     turned = _turn(centres, -yaw)
     bounds_m, pixel_m = _frame(turned, width_px)

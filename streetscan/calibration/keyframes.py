@@ -132,12 +132,14 @@ def choose_keyframes(drive_path: str | Path, n_keyframes: int, settings: Keyfram
     keyframes = []
     for index, place in enumerate(np.array_split(starts, n_keyframes)):
         tried = place[np.unique(np.linspace(0, len(place) - 1, settings.n_starts).round().astype(int))] if len(place) else []
-        best = Keyframe(index, reason=f"{len(image_times)} images of the drive hold no {settings.min_images} in a row here")
+        best, nothing = None, Keyframe(index, reason=f"{len(image_times)} images of the drive hold no {settings.min_images} in a row here")
         for start in tried:
             found = _try_start(drive_path, camera, image_times, lidar_times, int(start), index, settings)
-            best = max(best, found, key=lambda k: (k.status == "ok", len(k.images)))
+            if best is None or (found.status == "ok", len(found.images)) > (best.status == "ok", len(best.images)):
+                best = found
             if best.status == "ok" and len(best.images) == settings.n_images:
                 break
+        best = best or nothing
         logger.info("keyframe %02d: %s%s", index, best.status, f" ({best.reason})" if best.reason else "")
         keyframes.append(best)
     return keyframes

@@ -90,15 +90,15 @@ def estimate_scale(
     # units * scale = |way + (R - I) p|, about length + direction (R - I) p.
     effect = np.einsum("ni,nij->nj", ways / np.maximum(lengths, 1e-9)[:, None], turns - np.eye(3))
     A, y = np.c_[units, -effect], lengths
-    prior = np.diag([0.0, *np.full(3, (s.noise_m / s.lever_m) ** 2)])
-    weights = np.ones(len(y))
+    prior = np.diag([0.0, *np.full(3, 1 / s.lever_m**2)])
+    # Of n images' pairs only n - 1 are independent.
+    trust = (len(times) - 1) / len(y) / s.noise_m**2
+    weights = np.full(len(y), trust)
     for _ in range(10):
         normal = (A * weights[:, None]).T @ A + prior
         solution = np.linalg.solve(normal, (A * weights[:, None]).T @ y)
-        weights = 1 / np.maximum(1, np.abs(A @ solution - y) / (1.5 * s.noise_m))
-    # Of n images' pairs only n - 1 are independent.
-    noise = max(s.noise_m, float(np.sqrt(np.average((A @ solution - y) ** 2, weights=weights)))) * np.sqrt(len(y) / (len(times) - 1))
-    scale = Scale(float(solution[0]), float(noise * np.sqrt(np.linalg.inv(normal)[0, 0])), solution[1:], way_m)
+        weights = trust / np.maximum(1, np.abs(A @ solution - y) / (1.5 * s.noise_m))
+    scale = Scale(float(solution[0]), float(np.sqrt(np.linalg.inv(normal)[0, 0])), solution[1:], way_m)
     if not scale.value > 0 or scale.std > s.max_std * scale.value:
         raise NoScale(f"the scale is uncertain by {100 * scale.std / max(scale.value, 1e-9):.1f} %")
     return scale

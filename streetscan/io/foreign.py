@@ -1,5 +1,6 @@
 """Clouds of foreign data sets: one reader for every format, fields under our own names, class ids beside them."""
 
+import logging
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -10,6 +11,7 @@ import numpy as np
 from streetscan.clouds import PointCloud, check_points
 from streetscan.errors import BadInput
 
+logger = logging.getLogger(__name__)
 FORMATS = ("las", "ply", "pcd", "text")
 # Fields that get a type of their own; every other keeps the type it has in the file.
 _TYPES = {"time_s": np.float64, "return_number": np.uint8, "n_returns": np.uint8}
@@ -96,7 +98,9 @@ def iterate_clouds(path: str | Path, reader: Reader) -> Iterator[tuple[PointClou
         from streetscan.io.labels import LabelsFile, find_labels_file
 
         labels_file = LabelsFile(find_labels_file(path, reader.label_suffix))
-    for cloud in _iterate_native(path, reader):
+    for i, cloud in enumerate(_iterate_native(path, reader)):
+        if i == 0:
+            _log_left_out(cloud, reader, path)
         class_ids = None
         if labels_file is not None:
             class_ids = _integers(labels_file.take(len(cloud)), path, "class id")
@@ -133,6 +137,13 @@ def _iterate_native(path: str | Path, reader: Reader) -> Iterator[PointCloud]:
             from streetscan.io.xyz import iterate_xyz
 
             yield from iterate_xyz(path, reader.columns, reader.delimiter, reader.comment, reader.n_header_rows)
+
+
+def _log_left_out(cloud: PointCloud, reader: Reader, path: str | Path) -> None:
+    taken = {reader.label}.union(*([source] if isinstance(source, str) else source for source in reader.fields.values()))
+    left_out = [name for name in cloud.fields if name not in taken]
+    if left_out:
+        logger.info("%s: the map leaves out %s; name in reader.fields what it should keep", path, ", ".join(left_out))
 
 
 def _native_field(cloud: PointCloud, name: str, path: str | Path) -> np.ndarray:

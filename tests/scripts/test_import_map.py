@@ -198,6 +198,17 @@ def test_an_own_scan_keeps_its_fields_and_reference_system(tmp_path):
         np.testing.assert_array_equal(cloud.fields[name], fields[name])
 
 
+def test_the_log_says_which_fields_of_a_scan_are_left_out(tmp_path, caplog):
+    n = 20
+    fields = {"intensity": np.arange(n, dtype=np.uint16), "rgb": np.full((n, 3), 7, np.uint8), "width": np.ones(n, np.float32)}
+    write_las(tmp_path / "a.laz", PointCloud(random_points(n), fields))
+    with caplog.at_level("INFO"):
+        run(tmp_path, [tmp_path / "a.laz"], ready_facts("own_scan"))
+    (line,) = [r.getMessage() for r in caplog.records if "leaves out" in r.getMessage()]
+    assert "intensity" not in line
+    assert all(name in line for name in ("rgb", "width"))
+
+
 def test_las_classification_may_be_the_truth(tmp_path):
     facts = ready_facts("own_scan") | {"truth": "labels", "class_map": {2: "ground", 6: "facade", 1: "unlabelled"}}
     facts["reader"] |= {"label": "classification", "fields": {}}

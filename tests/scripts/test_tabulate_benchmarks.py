@@ -37,6 +37,9 @@ def inputs(tmp_path):
         "streets": [],
         "frames": [],
         "localizations": [],
+        "reconstructions": [],
+        "detections": [],
+        "models": [],
         "localization_pictures": [],
     }
     for dataset, _ in EVALUATED:

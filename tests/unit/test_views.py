@@ -117,3 +117,14 @@ def test_a_map_of_one_voxel_is_drawn():
     grid = VoxelGrid(np.zeros(3), 0.1, np.zeros((1, 3), np.int32), np.ones(1, np.uint32), np.zeros(1), np.zeros(1, np.float32))
     drawn = views.draw_views(grid, np.zeros(1, np.uint8), None, [PointCloud(np.full((1, 3), 0.05))], width_px=50)
     assert len(drawn) == 2
+
+
+def test_the_eye_avoids_the_badly_scanned_side():
+    """Two equal roads with cars; the scanner passed along one of them."""
+    x, y = (a.ravel() for a in np.meshgrid(np.arange(0, 40, 0.5), np.arange(0, 8, 0.5)))
+    road = np.c_[x, y, np.zeros(len(x))]
+    cars = road[(x > 30) & (y > 2) & (y < 6)] + [0, 0, 1]
+    one = np.concatenate([road, cars])
+    labels = np.tile(np.r_[np.full(len(road), GROUND), np.full(len(cars), CAR)].astype(np.uint8), 2)
+    place = views.choose_viewpoint(np.concatenate([one, one + [0, 100, 0]]), labels, np.repeat([1, 9], len(one)))
+    assert place.position[1] > 50

@@ -7,6 +7,8 @@ import pytest
 import yaml
 from dag import HOME, snakemake
 
+from streetscan.calibration.keyframes import KeyframeSettings
+from streetscan.calibration.reconstruction import ReconstructionSettings, make_reconstruction_settings
 from streetscan.registration.grid_classes import GridSettings
 from streetscan.registration.merging import MergeSettings, make_merge_settings
 from streetscan.registration.odometry import OdometrySettings, make_settings
@@ -57,6 +59,12 @@ def test_settings_of_registration_are_the_library_s():
     assert make_settings(config["register_frames"]["settings"]) == OdometrySettings()
     merging = make_merge_settings(config["merge_frames"])
     assert merging == replace(MergeSettings(), classes=merging.classes)
+
+
+def test_settings_of_keyframes_are_the_library_s():
+    config = yaml.safe_load((HOME / "config" / "default.yaml").read_text())
+    assert KeyframeSettings(**config["choose_keyframes"]["settings"]) == KeyframeSettings()
+    assert make_reconstruction_settings(config["reconstruct_keyframe"]["settings"]) == ReconstructionSettings()
 
 
 def test_scripts_are_thin():
