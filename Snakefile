@@ -14,6 +14,7 @@ include: "rules/segmentation.smk"
 include: "rules/registration.smk"
 include: "rules/localization.smk"
 include: "rules/calibration.smk"
+include: "rules/detection.smk"
 include: "rules/benchmarks.smk"
 
 

@@ -258,6 +258,7 @@ rule tabulate_benchmarks:
             "results/localize_frames/{dataset}/{drive}/{labels}/{localizer}/pictures", SCORED_LOCALIZATIONS
         ),
         reconstructions=expand("results/evaluate_reconstruction/{drive}/scores.csv", drive=SCORED_CALIBRATIONS),
+        detections=expand("results/evaluate_detections/{drive}/scores.csv", drive=SCORED_DETECTIONS),
         models=for_keyframes("results/reconstruct_keyframe/{drive}/{keyframe}/model", CALIBRATED),
     output:
         scores="results/tabulate_benchmarks/{run}/scores.csv",

@@ -30,7 +30,7 @@ rule reconstruct_keyframe:
         drive=drive_file("drive.mcap"),
         keyframes="results/choose_keyframes/{drive}/keyframes.csv",
         poses=lambda w: f"results/register_frames/{w.drive}/{config['reconstruct_keyframe']['registrar']}/poses.csv",
-        masks=[],  # without a detector nothing is marked as moving
+        masks="results/detect_dynamic/{drive}/masks",
     output:
         model=directory("results/reconstruct_keyframe/{drive}/{keyframe}/model"),
         summary="results/reconstruct_keyframe/{drive}/{keyframe}/summary.csv",

@@ -485,6 +485,7 @@ def has_poses(dataset, drive):
 SCORED_CALIBRATIONS = [
     d for d in CALIBRATED if has_poses(d) and (step_of_drive(d) == "simulate_drive" or "extrinsics" in drive_facts(d)["truth"])
 ]
+SCORED_DETECTIONS = [d for d in CALIBRATED if has_labels(d)]
 LOCALIZED = localizations()
 SCORED_LOCALIZATIONS = [(*names, place_of(names[1])) for names in LOCALIZED if has_poses(*names[:2])]
 
@@ -492,3 +493,31 @@ SCORED_LOCALIZATIONS = [(*names, place_of(names[1])) for names in LOCALIZED if h
 def for_localizations(path, selected):
     """A path's instances for (data set, drive, labels, localizer) tuples."""
     return [path.format(dataset=d, drive=r, labels=m, localizer=n) for d, r, m, n, *_ in selected]
+
+
+def training_files(step, name):
+    """An input function: a file of each drive a detector learns from; drives of other parts than train are refused."""
+
+    def paths(wildcards):
+        drives = config[step]["drives"]
+        for drive in drives:
+            if drive_facts(drive).get("simulation", {}).get("split") != "train":
+                raise WorkflowError(f"{step}.drives: '{drive}' is no simulated drive of a part 'train'; name one that is.")
+        return [f"results/simulate_drive/{drive}/{name}" for drive in drives]
+
+    return paths
+
+
+def chosen_detector(kind):
+    """The detector of images or of lidar frames that detect_dynamic uses, as the config describes it."""
+    name, known = config["detect_dynamic"][f"{kind}_detector"], config[f"{kind}_detectors"]
+    if name not in known:
+        raise WorkflowError(f"detect_dynamic.{kind}_detector: '{name}' is not in the config; use one of {', '.join(known)}.")
+    return known[name]
+
+
+def detector_files(kind):
+    """The weights of that detector: those in weights/ (`shipped`), or the files it names."""
+    files = chosen_detector(kind)["files"]
+    folder = HOME / "weights" / f"{kind}_detector"
+    return [f"{folder}/{name}" for name in ("weights.safetensors", "settings.yaml")] if files == ["shipped"] else files

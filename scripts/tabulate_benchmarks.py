@@ -21,7 +21,7 @@ def main(
         inputs: of evaluate_labels `evaluations` and `confusions`, one per pair in `evaluated`; `histories`, per pair in `trained`; of
             evaluate_views `views`, per pair in `viewed`; of evaluate_registration `registrations` and `trajectories`, per pair in
             `registered`; of merge_frames `streets`, per pair in `merged`; per drive `grids` of evaluate_frames and `frames` of show_frames;
-            per name in `localized` `localizations` and `localization_pictures`; of keyframes `reconstructions` per drive, and `models`;
+            per name in `localized` `localizations` and `localization_pictures`; `reconstructions`, `detections`; `models`, per keyframe;
             `realism` (one per name in `compared`), `densities` (one per key of `static_scans`).
         outputs: `scores`, `report` (files), `tables`, `figures` (folders). config: the resolved one; its `run` and `seed` name the report.
         evaluated, trained, viewed: (data set, model); registered, merged: (drive, registrar); localized: (data set, drive, labels, ...).
@@ -34,7 +34,7 @@ def main(
     drives = registrations.read_registrations(inputs["registrations"], inputs["trajectories"], registered)
     on_maps = localizations.read_localizations(inputs["localizations"], localized)
     of_drives = registrations.registration_scores(drives, inputs["grids"]) + localizations.localization_scores(on_maps)
-    found = scores.collect_scores(evaluations, facts, of_drives + calibrations.reconstruction_scores(inputs["reconstructions"]))
+    found = scores.collect_scores(evaluations, facts, of_drives + calibrations.calibration_scores(inputs))
     printed = tables.make_tables(found)
     sheets = scores.read_named(inputs["realism"], realism["compared"])
     densities = scores.read_named(inputs["densities"], realism["static_scans"])

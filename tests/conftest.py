@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from toy_detections import DetectionDrive, write_detection_drive
 
 from streetscan import classes
 from streetscan.clouds import PointCloud
@@ -20,6 +21,12 @@ def shared_data() -> Path:
     if not SHARED_DATA.is_dir():
         pytest.skip(f"no real recordings at {SHARED_DATA}")
     return SHARED_DATA
+
+
+@pytest.fixture(scope="session")
+def detection_drive(tmp_path_factory) -> DetectionDrive:
+    """A tiny drive with images, lidar frames and the truth of what could move, made once; treat it as read-only."""
+    return write_detection_drive(tmp_path_factory.mktemp("detections"))
 
 
 @dataclass

@@ -3,7 +3,7 @@
 Source: Nagy (2020), 4.3.1 (points of Fig. 4.2, reprojection error), Figs. 4.2-4.4.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from streetscan.benchmarks.published import title
@@ -19,6 +19,11 @@ _PICTURES = {
     "images": "Images", "sparse": "Sparse", "dense": "Dense", "masks": "Moving", "dynamic": "Moving in 3-D", "points": "Points",
     "features": "Their features", "errors": "Errors x 10",
 }  # fmt: skip
+
+
+def calibration_scores(inputs: Mapping[str, Sequence[str]]) -> list[dict]:
+    """Rows of the tidy scores of `reconstructions` (evaluate_reconstruction) and `detections` (evaluate_detections)."""
+    return reconstruction_scores(inputs["reconstructions"]) + detection_scores(inputs["detections"])
 
 
 def reconstruction_scores(paths: Sequence[str]) -> list[dict]:
@@ -37,6 +42,22 @@ def reconstruction_scores(paths: Sequence[str]) -> list[dict]:
             if r["metric"] in _TEXT:
                 row, metric = _TEXT[r["metric"]]
                 rows.append(make_score("nagy_text", row, "proposed", metric, r["value"], r["unit"], r["n"], drive, "sfm"))
+    return rows
+
+
+def detection_scores(paths: Sequence[str]) -> list[dict]:
+    """Rows of the tidy scores: what could move, found in images and lidar frames, per drive and class.
+
+    Args:
+        paths: `evaluate_detections/<drive>/scores.csv`.
+    """
+    rows = []
+    for path in paths:
+        drive = Path(path).parent.name
+        for r in read_csv(path, ("sensor", "class", "metric", "value", "unit", "n"), "evaluate_detections").to_dict("records"):
+            row = f"{drive}/{r['class']}"
+            # What n counts differs from metric to metric; evaluate_detections has each.
+            rows.append(make_score("detection", row, "", r["metric"], r["value"], r["unit"], dataset=drive, method=r["sensor"]))
     return rows
 
 

@@ -31,10 +31,29 @@ def rectify_image(image: np.ndarray, camera: CameraModel | None, where: object =
     if image.shape[:2] != (checked.height, checked.width):
         found = f"an image of {image.shape[1]} x {image.shape[0]} pixels for intrinsics of {checked.width} x {checked.height}"
         raise BadInput(where, found, "give the intrinsics of these images")
-    if not checked.D.any():
-        return image
-    maps = _maps(checked.width, checked.height, tuple(checked.K.ravel()), tuple(checked.D), checked.distortion_model)
-    return cv2.remap(image, *maps, interpolation=cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=0)
+    return _remap(image, checked, cv2.INTER_LINEAR)
+
+
+def rectify_labels(labels: np.ndarray, camera: CameraModel | None, where: object = "camera") -> np.ndarray:
+    """Labels of the pixels of an image as they lie in the rectified one; arguments and errors as `rectify_image`.
+
+    Args:
+        labels: (H, W) of whole numbers.
+    Returns:
+        An array of the same shape and dtype, each pixel that of the nearest; 0 where the lens did not see.
+    """
+    checked = check_camera(camera, where)
+    # OpenCV moves no 32-bit integers; numbers of a picture's objects are few.
+    values, numbers = np.unique(labels, return_inverse=True)
+    numbers = _remap(numbers.reshape(labels.shape).astype(np.uint16) + 1, checked, cv2.INTER_NEAREST)
+    return np.append(np.zeros(1, labels.dtype), values)[numbers]
+
+
+def _remap(pixels: np.ndarray, camera: CameraModel, interpolation: int) -> np.ndarray:
+    if not camera.D.any():
+        return pixels
+    maps = _maps(camera.width, camera.height, tuple(camera.K.ravel()), tuple(camera.D), camera.distortion_model)
+    return cv2.remap(pixels, *maps, interpolation=interpolation, borderMode=cv2.BORDER_CONSTANT, borderValue=0)
 
 
 def check_camera(camera: CameraModel | None, where: object) -> CameraModel:

@@ -7,20 +7,17 @@ Source: Nagy (2020), 2.4 and Fig. 2.7, appendix A.2; N-013..N-024.
 """
 
 import itertools
-from dataclasses import asdict, dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 import torch
-import yaml
-from safetensors import SafetensorError
-from safetensors.torch import load_file, save_file
 from torch import nn
 
 from streetscan.classes import N_CLASSES, NAMES
 from streetscan.errors import BadInput
-from streetscan.io.atomic import atomic_path
+from streetscan.io.weights import check_equal_settings, load_settings, load_weights, save_settings, save_weights
 from streetscan.voxels import VoxelGrid, find_sorted, pack_keys
 
 CHANNELS = ("count", "height", "occupancy")
@@ -121,30 +118,12 @@ class Settings:
 
     def save(self, path: str | Path) -> None:
         """Write as YAML."""
-        content = {name: list(v) if isinstance(v, tuple) else v for name, v in asdict(self).items()}
-        with atomic_path(path) as partial:
-            partial.write_text(yaml.safe_dump(content, sort_keys=False))
+        save_settings(self, path)
 
     @classmethod
     def load(cls, path: str | Path) -> "Settings":
         """Read what `save` wrote. BadInput when a key is missing, unknown or its value impossible."""
-        try:
-            content = yaml.safe_load(Path(path).read_text())
-        except (OSError, yaml.YAMLError, UnicodeDecodeError) as error:
-            reason = getattr(error, "problem", None) or str(error).splitlines()[0]
-            raise BadInput(
-                path, f"not readable as settings ({reason})", "give the settings.yaml that was written beside the weights"
-            ) from error
-        names = {f.name for f in fields(cls)}
-        if not isinstance(content, dict) or set(content) != names:
-            odd = sorted(names.symmetric_difference(content if isinstance(content, dict) else ()))
-            raise BadInput(path, f"keys missing or unknown: {', '.join(odd)}", "give the settings.yaml that was written beside the weights")
-        try:
-            return cls(**content)
-        except (TypeError, ValueError) as error:
-            raise BadInput(
-                path, f"a value of the wrong type ({error})", "give the settings.yaml that was written beside the weights"
-            ) from error
+        return load_settings(cls, path)
 
 
 class C2CNN(nn.Module):
@@ -263,35 +242,17 @@ def extract_cubes(grid: VoxelGrid, channels: np.ndarray, keys: np.ndarray, turns
 def save_network(network: C2CNN, weights: str | Path, settings: str | Path) -> None:
     """Write the weights (safetensors) and the settings (YAML)."""
     network.settings.save(settings)
-    with atomic_path(weights) as partial:
-        save_file({name: tensor.detach().contiguous() for name, tensor in network.state_dict().items()}, partial)
+    save_weights(network, weights)
 
 
 def load_network(weights: str | Path, settings: str | Path) -> C2CNN:
     """Rebuild a network. BadInput when a file is damaged or the two do not belong together."""
     network = C2CNN(Settings.load(settings))
-    try:
-        tensors = load_file(weights)
-    except (OSError, SafetensorError) as error:
-        raise BadInput(weights, f"not a complete safetensors file ({error})", "train again or fetch the file again") from error
-    expected = {name: tuple(tensor.shape) for name, tensor in network.state_dict().items()}
-    found = {name: tuple(tensor.shape) for name, tensor in tensors.items()}
-    if found != expected:
-        odd = sorted(name for name in expected | found if expected.get(name) != found.get(name))[0]
-        detail = f"'{odd}' is {found.get(odd, 'missing')} where {settings} asks for {expected.get(odd, 'no such tensor')}"
-        raise BadInput(weights, f"weights made with other settings: {detail}", "give weights and settings of one training")
-    if not all(bool(torch.isfinite(tensor).all()) for tensor in tensors.values()):
-        raise BadInput(weights, "holds weights that are NaN or infinite", "train again")
-    network.load_state_dict(tensors)
+    load_weights(network, weights, settings)
     return network.eval()
 
 
 def check_same_settings(found: Settings, wanted: Settings, where: object) -> None:
     """Refuse weights that were made with other settings. BadInput names the first that differs."""
-    for f in fields(Settings):
-        # Dropout acts in training only.
-        if f.name != "dropout" and getattr(found, f.name) != getattr(wanted, f.name):
-            detail = f"{f.name} is {getattr(found, f.name)}, not {getattr(wanted, f.name)}"
-            raise BadInput(
-                where, f"weights made with other settings: {detail}", "give weights made with these settings or change the settings"
-            )
+    # Dropout acts in training only.
+    check_equal_settings(found, wanted, where, ("dropout",))

@@ -1,13 +1,19 @@
 """A tiny drive through segment_frames, register_frames and merge_frames."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+import torch
 from street_frames import drive
 from toy_drives import RegisteredDrive, write_drive
 from toy_localization import write_files
 
 from scripts import merge_frames, segment_frames
+from streetscan.calibration.detectors.city import CityNetwork, CitySettings
+from streetscan.calibration.detectors.pointpillars import PointPillars, street_settings
 from streetscan.io.trajectories import write_poses_csv
+from streetscan.io.weights import save_settings, save_weights
 
 
 @pytest.fixture(scope="session")
@@ -36,3 +42,19 @@ def registered_drive(tmp_path_factory) -> RegisteredDrive:
 def localization_files(tmp_path_factory):
     """The street of boxes as files, made once; treat them as read-only."""
     return write_files(tmp_path_factory.mktemp("street"))
+
+
+@pytest.fixture(scope="session")
+def detectors(tmp_path_factory) -> dict:
+    """Files and settings of two small detectors with random weights, as detect_dynamic takes them."""
+    folder = tmp_path_factory.mktemp("detectors")
+    torch.manual_seed(1)
+    city = CitySettings(width=64, channels=(4, 4, 8, 8))
+    street = replace(street_settings(), pillar_channels=4, channels=(4, 4, 4), n_layers=(1, 1, 1), neck_channels=4)
+    files = {}
+    for name, network, settings in (("image", CityNetwork(city), city), ("lidar", PointPillars(street), street)):
+        files[f"{name}_files"] = [str(folder / f"{name}.safetensors"), str(folder / f"{name}_settings.yaml")]
+        save_weights(network, files[f"{name}_files"][0])
+        save_settings(settings, files[f"{name}_files"][1])
+    of_images, of_frames = {"method": "city", "settings": {}}, {"method": "street", "choice": {"min_score": 0.005}}
+    return files | {"image_detector": of_images, "lidar_detector": of_frames}

@@ -38,6 +38,7 @@ def inputs(tmp_path):
         "frames": [],
         "localizations": [],
         "reconstructions": [],
+        "detections": [],
         "models": [],
         "localization_pictures": [],
     }

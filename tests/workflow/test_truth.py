@@ -1,12 +1,15 @@
 """Truth stays apart: no method reads what it is scored against."""
 
 import pytest
-from dag import HOME, Job, dry_run
+import yaml
+from dag import HOME, Job, dry_run, snakemake
 
 CONFIGS = sorted((HOME / "config").glob("*.yaml"))
 CONFIGS = [c for c in CONFIGS if "schema" not in c.name]
 # Rules that may read `truth/`, and the parts they may read it of.
 READERS = {"label_voxels": {"train", "validation"}}
+# Rules that may read `truth/` of drives of the part train.
+TRAINERS = ("train_image_detector", "train_lidar_detector")
 
 
 def is_truth(path: str) -> bool:
@@ -15,6 +18,9 @@ def is_truth(path: str) -> bool:
 
 def is_allowed(job: Job) -> bool:
     """Whether a job that reads truth may do so on the way to a method's output."""
+    if job.rule in TRAINERS:
+        drives = [path.split("/")[2] for path in job.inputs if is_truth(path)]
+        return all(yaml.safe_load((HOME / "config" / "drives" / f"{d}.yaml").read_text())["simulation"]["split"] == "train" for d in drives)
     return job.wildcards.get("split") in READERS.get(job.rule, ())
 
 
@@ -80,3 +86,18 @@ def test_walk_finds_test_labels_used_for_training():
     assert truth_above(["samples.npz"], makers_of(jobs)) == ["label_voxels reads a/truth/labels.npy"]
     jobs[0].wildcards["split"] = "train"
     assert truth_above(["samples.npz"], makers_of(jobs)) == []
+
+
+def test_detectors_learn_from_training_drives_alone(tmp_path):
+    targets = [f"results/{rule}/weights.safetensors" for rule in TRAINERS]
+    jobs = dry_run("--", *targets, directory=tmp_path)
+    assert any(is_truth(path) for job in jobs if job.rule in TRAINERS for path in job.inputs)
+    assert truth_above(targets, makers_of(jobs)) == []
+    sneaked = [Job(TRAINERS[0], ["results/simulate_drive/city_main_road/truth"], ["weights.safetensors"])]
+    assert len(truth_above(["weights.safetensors"], makers_of(sneaked))) == 1
+
+
+def test_a_test_drive_is_refused_for_training(tmp_path):
+    chosen = "train_image_detector={drives: [city_main_road]}"
+    result = snakemake("-n", "--config", chosen, "--", "results/train_image_detector/weights.safetensors", directory=tmp_path, check=False)
+    assert "'city_main_road' is no simulated drive of a part 'train'" in result.stdout + result.stderr
