@@ -476,10 +476,14 @@ def place_of(drive):
     return drive_facts(drive).get("simulation", {}).get("place", "")
 
 
-def has_poses(dataset, drive):
+def has_poses(drive):
+    """Whether the true poses of a drive are known."""
+    return drive_facts(drive)["reader"] == "simulate" or "poses" in drive_facts(drive).get("truth", {})
+
+
+def has_poses_on(dataset, drive):
     """Whether the poses of a drive on a map are known."""
-    is_known = drive_facts(drive)["reader"] == "simulate" or "poses" in drive_facts(drive).get("truth", {})
-    return is_own_street(dataset, drive) or (is_known and facts(dataset)["crs"] is not None)
+    return is_own_street(dataset, drive) or (has_poses(drive) and facts(dataset)["crs"] is not None)
 
 
 SCORED_CALIBRATIONS = [
@@ -487,7 +491,7 @@ SCORED_CALIBRATIONS = [
 ]
 SCORED_DETECTIONS = [d for d in CALIBRATED if has_labels(d)]
 LOCALIZED = localizations()
-SCORED_LOCALIZATIONS = [(*names, place_of(names[1])) for names in LOCALIZED if has_poses(*names[:2])]
+SCORED_LOCALIZATIONS = [(*names, place_of(names[1])) for names in LOCALIZED if has_poses_on(*names[:2])]
 
 
 def for_localizations(path, selected):
