@@ -1,10 +1,10 @@
 """ONNX detectors: adapters on tiny networks whose answers are known, and on real weights where they are at hand."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import ROOT
 from onnx_files import write_constant_network
 
 from streetscan.calibration.detectors.image_detections import paint_objects
@@ -16,7 +16,7 @@ from streetscan.frames import CameraImage
 from streetscan.io.images import decode_image
 
 PICTURE = np.zeros((60, 120, 3), np.uint8)
-WEIGHTS = ROOT.parent / "shared" / "weights"
+WEIGHTS = Path(__file__).resolve().parents[3] / "shared" / "weights"
 
 
 def extent(mask):
