@@ -29,7 +29,7 @@ class VerdictSettings:
         min_fit: least fit of the frame to the map.
         min_plane_margin: least lead of the best place over the next in the search by points, as a share of it.
 
-    ASSUME: on the city's train and validation streets right poses fit by 0.28 and more where the map does not end within sight; poses on
+    ASSUME: on the city's train and validation streets right poses fit by 0.27 and more where the map does not end within sight; poses on
     another street by 0.24 and less, though that street has its lamps and trees at the same distances and up to 20 objects agree.
     At right poses objects agree with a consensus of 4.0 and a lead of 0.36 and more; where the true pose is beyond the window, by chance,
     with 4.2 and 0.24 at most.
