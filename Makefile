@@ -26,6 +26,7 @@ install: .venv/.installed  ## Create .venv and install the pinned packages (done
 	touch $@
 
 run: install  ## Run the workflow (CONFIG=config/test.yaml chooses a run, TARGET=... a part of it).
+	@test -f $(CONFIG) || { echo "CONFIG=$(CONFIG): no such file; name one in config/, or write it."; exit 2; }
 	@$(BIN)/python envs/unlock.py
 	PATH="$$PWD/$(BIN):$$PATH" $(BIN)/snakemake --configfile $(CONFIG) $(if $(TARGET),-- $(TARGET))
 

@@ -77,6 +77,8 @@ check_config()
 SELECTIONS = ("labelled_maps", "drives", "registered_drives", "merged_drives", "localized_drives")
 if not any(config[key] for key in (*SELECTIONS, "datasets_folder", "drives_folder")):
     config.update(config["first_run"])
+elif config["run"] == "default":
+    config["run"] = "own"  # a selection without a name must not write over the first run's report
 
 DATASETS = Path(config["datasets_folder"] or HOME / "config" / "datasets")
 DRIVES = Path(config["drives_folder"] or HOME / "config" / "drives")
@@ -245,8 +247,10 @@ def pairs(names):
     return [tuple(name.split("/")) for name in names]
 
 
-def check_pair(name, model, needs_map=True):
-    """Refuse a (data set, model) pair that cannot be made, in one sentence that says why."""
+def check_pair(name, model, needs_map=True, after=()):
+    """Refuse a (data set, model) pair that cannot be made, in one sentence that says why; `after` are the pairs that start from it."""
+    if (name, model) in after:
+        raise WorkflowError(f"models: '{name}/{model}' starts from itself; set its weights or initial to another network.")
     known = config["models"] | dict.fromkeys(BASELINES, {"weights": "own", "initial": None})
     if model not in known:
         raise WorkflowError(f"labelled_maps: model '{model}' is not in the config; use one of {', '.join(known)}.")
@@ -259,7 +263,7 @@ def check_pair(name, model, needs_map=True):
             "use c2cnn_shipped, or add them to its file."
         )
     for other in {source, known[model]["initial"]} - {"own", "shipped", None}:
-        check_pair(*other.split("/"), needs_map=False)
+        check_pair(*other.split("/"), needs_map=False, after=(*after, (name, model)))
 
 
 def has_labels(drive):

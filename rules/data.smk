@@ -45,6 +45,7 @@ rule import_map:
         mem_mb=2000,
     params:
         facts=lambda w: facts(w.dataset),
+        stretch=lambda w: dataset(w.dataset).part(w.split).stretch,
     script:
         "../scripts/import_map.py"
 

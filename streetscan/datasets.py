@@ -1,6 +1,7 @@
 """The facts of a data set: which files, how they are stored, what its classes are in ours, and what was published of it."""
 
 import difflib
+import itertools
 import math
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -22,10 +23,12 @@ class Part:
     Attributes:
         files: relative to `data_root`, in the order of the map; none when the part is simulated or merged from a drive.
         n_tiles: number of groups the part is labelled in.
+        stretch: from which to which share of the files' longer horizontal side the part reaches, the end left out unless it is 1.
     """
 
     files: tuple[str, ...]
     n_tiles: int
+    stretch: tuple[float, float] = (0.0, 1.0)
 
 
 @dataclass(frozen=True)
@@ -84,10 +87,11 @@ class Dataset:
         """Paths of a part's files. BadInput when the part or one of its files does not exist."""
         paths = [Path(data_root) / name for name in self.part(part).files]
         for path in paths:
+            named = f"named in part '{part}' of data set '{self.name}'"
+            if path.is_dir():
+                raise BadInput(path, f"is a folder, {named}", "name the files in it")
             if not path.is_file():
-                raise BadInput(
-                    path, f"no such file, named in part '{part}' of data set '{self.name}'", "set data_root to where the data lie"
-                )
+                raise BadInput(path, f"no such file, {named}", "set data_root to where the data lie")
         return paths
 
 
@@ -145,14 +149,28 @@ def parse_facts(facts: dict, where: object = "data set") -> Dataset:
             raise BadInput(where, "truth is 'labels' but class_map is empty", "give class_map an entry for every class id")
         if truth != "labels" and reader.has_labels:
             raise BadInput(where, f"truth is '{truth}' but the reader reads labels", "set truth: labels, or null the reader's labels")
-    parts = {name: Part(tuple(part.get("files", ())), part["n_tiles"]) for name, part in facts["parts"].items()}
+    parts = {
+        name: Part(tuple(part.get("files", ())), part["n_tiles"], tuple(part.get("stretch", Part.stretch)))
+        for name, part in facts["parts"].items()
+    }
     if "all" in parts and len(parts) > 1:
         raise BadInput(
             where, f"parts has 'all' beside '{next(p for p in parts if p != 'all')}'", "use 'all' alone, or train, validation, test"
         )
-    files = [name for part in parts.values() for name in part.files]
-    if repeated := [name for name in files if files.count(name) > 1]:
-        raise BadInput(where, f"names '{repeated[0]}' twice", "put every file into one part")
+    for name, part in parts.items():
+        if not part.stretch[0] < part.stretch[1]:
+            raise BadInput(where, f"parts.{name}.stretch is {list(part.stretch)}", "give a lower and a higher share, such as [0, 0.7]")
+        if repeated := [file for file in part.files if part.files.count(file) > 1]:
+            raise BadInput(where, f"names '{repeated[0]}' twice", "name a file once in a part")
+    for (a, first), (b, second) in itertools.combinations(parts.items(), 2):
+        shared = set(first.files) & set(second.files)
+        if shared and max(first.stretch[0], second.stretch[0]) < min(first.stretch[1], second.stretch[1]):
+            raise BadInput(
+                where, f"names '{min(shared)}' twice, in {a} and {b}", "put every file into one part, or give each a stretch of it"
+            )
+        if shared and set(first.files) != set(second.files):
+            remedy = "name the same files in parts that share one, for a stretch is a share of all of them together"
+            raise BadInput(where, f"{a} and {b} share '{min(shared)}' and no other files", remedy)
     return Dataset(
         name=facts["name"],
         title=facts["title"],
@@ -189,7 +207,10 @@ def check_facts(facts: dict, schema: dict, where: object) -> None:
     message = f"{error.instance} is not allowed" if error.validator == "not" else error.message
     message = message if len(message) < 200 else f"{message[:200]}..."
     description = error.schema.get("description")
-    raise BadInput(where, f"key '{place}': {message}", f"mend the value ({description})" if description else "mend the value")
+    remedy = f"mend the value ({description})" if description else "mend the value"
+    if error.validator == "type" and isinstance(error.instance, str) and "." in place:
+        remedy += "; inside braces after --config every value is text, so write such values into a file"
+    raise BadInput(where, f"key '{place}': {message}", remedy)
 
 
 def _find_non_number(value: object) -> str:

@@ -20,9 +20,17 @@ from streetscan.io.npy import open_npy_writer
 logger = logging.getLogger(__name__)
 # What voxel keys of 0.1 m reach; a street is never as long, a point at (0, 0, 0) of a national grid is farther.
 _MAX_EXTENT_M = 100_000.0
+# No street is as small; a street in degrees is.
+_MIN_EXTENT_M = 0.5
 
 
-def import_map(dataset: Dataset, files: Sequence[str | Path], map_path: str | Path, labels_path: str | Path) -> np.ndarray:
+def import_map(
+    dataset: Dataset,
+    files: Sequence[str | Path],
+    map_path: str | Path,
+    labels_path: str | Path,
+    stretch: tuple[float, float] = (0.0, 1.0),
+) -> np.ndarray:
     """Stream files into one map; neither output appears unless both are complete.
 
     Args:
@@ -30,31 +38,56 @@ def import_map(dataset: Dataset, files: Sequence[str | Path], map_path: str | Pa
         files: the part's files, in the order of the map; a folder stands for the LAZ tiles in it, in the order of their names.
         map_path: LAZ to write: the points and the fields the reader keeps, never a label.
         labels_path: `.npy` to write: (N,) uint8 labels in the map's order, 255 where unlabelled or without truth.
+        stretch: from which to which share of the files' longer horizontal side the map reaches, the end left out unless it is 1. Less
+            than the whole is read twice.
     Returns:
         (256,) int64: number of points of each label.
     Raises:
         BadInput: a file is damaged or not stored as the facts say, holds a class id the class map lacks, or its
-            reference system is not the data set's, not that of the other files, or not in metres.
+            reference system is not the data set's, not that of the other files, or not in metres; no point lies in the stretch.
     """
     files = [tile for path in map(Path, files) for tile in (sorted(path.glob("*.laz")) if path.is_dir() else [path])]
     if not files:
         raise BadInput(f"data set '{dataset.name}'", "the part has no files", "list them in the data set's file")
     counts = np.zeros(256, np.int64)
-    crs = None
+    crs, low, high = None, np.full(2, np.inf), np.full(2, -np.inf)
     with atomic_path(map_path) as partial_map, atomic_path(labels_path) as partial_labels:
-        clouds = _iterate_files(dataset, files)
-        first = next(clouds)
+        clouds = _cut(dataset, files, stretch)
+        first = next(clouds, None)
+        if first is None:
+            raise BadInput(files[0], f"has no point in the stretch {list(stretch)}", "widen parts.<part>.stretch in the data set's file")
         crs = first[0].crs
         with open_las_writer(partial_map, crs) as las, open_npy_writer(partial_labels, np.uint8) as labels_writer:
             for cloud, labels in itertools.chain([first], clouds):
                 las.write(cloud)
+                if len(cloud):
+                    low, high = np.fmin(low, cloud.points[:, :2].min(axis=0)), np.fmax(high, cloud.points[:, :2].max(axis=0))
                 labels_writer.write(labels)
                 counts += np.bincount(labels, minlength=256)
             if counts.sum() == 1:
                 raise BadInput(files[0], "holds a single point, which is no map", "give the whole scan")
+    if (high - low).max() < _MIN_EXTENT_M:
+        found = "%s: the map is only %.3g x %.3g m large; if its coordinates are degrees, reproject them to metres"
+        logger.warning(found, files[0], *(high - low))
     shares = ", ".join(f"{name} {counts[i]}" for i, name in enumerate(NAMES) if counts[i])
     logger.info("%d points in all (%s): %s, unlabelled %d", counts.sum(), crs or "local frame", shares or "no class", counts[UNLABELLED])
     return counts
+
+
+def _cut(dataset: Dataset, files: Sequence[str | Path], stretch: tuple[float, float]) -> Iterator[tuple[PointCloud, np.ndarray]]:
+    """What `_iterate_files` yields, of one stretch along the longer horizontal side of all files."""
+    if tuple(stretch) == (0, 1):
+        yield from _iterate_files(dataset, files)
+        return
+    bounds = [(c.points[:, :2].min(axis=0), c.points[:, :2].max(axis=0)) for c, _ in _iterate_files(dataset, files) if len(c)]
+    low, high = np.min([b[0] for b in bounds], axis=0), np.max([b[1] for b in bounds], axis=0)
+    axis = int(np.argmax(high - low))
+    begin, end = low[axis] + np.asarray(stretch) * (high[axis] - low[axis])
+    for cloud, labels in _iterate_files(dataset, files):
+        along = cloud.points[:, axis]
+        inside = (along >= begin) & ((along < end) | (stretch[1] == 1))
+        if inside.any():
+            yield cloud.select(inside), labels[inside]
 
 
 def _iterate_files(dataset: Dataset, files: Sequence[str | Path]) -> Iterator[tuple[PointCloud, np.ndarray]]:

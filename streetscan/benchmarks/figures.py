@@ -74,7 +74,7 @@ def _figure(height_in: float, width_in: float = WIDTH_IN) -> Figure:
 def save_figure(figure: Figure, path: str | Path, dpi: float = 200) -> None:
     """Write a figure as its suffix says (`.svg`, `.pdf`, `.png`, `.jpg`), without date or version, so that equal figures are equal files.
 
-    A `.png` is stored with a palette of 256 colours, which class colours fit; a `.jpg` is for pictures with more.
+    A `.png` keeps every colour, a class' above all; a `.jpg` is for the noise of intensities and photographs.
     """
     path = Path(path)
     metadata = {".svg": {"Date": None, "Creator": None}, ".pdf": {"CreationDate": None, "Creator": None, "Producer": None}}
@@ -86,7 +86,7 @@ def save_figure(figure: Figure, path: str | Path, dpi: float = 200) -> None:
             if path.suffix == ".jpg":
                 picture.save(partial, "JPEG", quality=80, optimize=True)
             else:
-                picture.quantize(256, method=Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE).save(partial, "PNG", optimize=True)
+                picture.save(partial, "PNG")
         else:
             figure.savefig(partial, format=path.suffix[1:], metadata=metadata[path.suffix])
 

@@ -248,3 +248,28 @@ def test_real_amsterdam(shared_data, tmp_path):
     assert (labels == UNLABELLED).all()
     np.testing.assert_allclose(cloud.points[:, :2].min(axis=0), [114_650, 484_900], atol=0.01)
     assert cloud.fields["rgb"][-1].any()
+
+
+def test_parts_of_one_file_are_stretches_of_its_longer_side(tmp_path):
+    facts = ready_facts("own_scan")
+    points = random_points(200)
+    points[:, 0] %= 10
+    points[:, 1] = np.linspace(0, 100, 200)
+    write_las(tmp_path / "a.laz", PointCloud(points, {"intensity": np.arange(200, dtype=np.uint16)}))
+    parts = []
+    for i, stretch in enumerate([(0, 0.6), (0.6, 0.75), (0.75, 1)]):
+        folder = tmp_path / str(i)
+        import_main()([str(tmp_path / "a.laz")], str(folder / "map.laz"), str(folder / "truth" / "labels.npy"), facts, stretch)
+        parts.append(read_las(folder / "map.laz").fields["intensity"].tolist())
+        assert len(np.load(folder / "truth" / "labels.npy")) == len(parts[-1])
+    assert [*parts[0], *parts[1], *parts[2]] == list(range(200))
+    assert [len(p) for p in parts] == [120, 30, 50]
+    with pytest.raises(BadInput, match="no point in the stretch"):
+        import_main()([str(tmp_path / "a.laz")], str(tmp_path / "b.laz"), str(tmp_path / "b.npy"), facts, (0.501, 0.502))
+
+
+def test_a_map_in_degrees_is_suspected(tmp_path, caplog):
+    points = random_points(50) * [1e-6, 1e-6, 1] + [19.05, 47.5, 0]
+    write_las(tmp_path / "a.laz", PointCloud(points, {"intensity": np.zeros(50, np.uint16)}))
+    run(tmp_path, [tmp_path / "a.laz"], ready_facts("own_scan"))
+    assert any("degrees" in r.getMessage() for r in caplog.records)

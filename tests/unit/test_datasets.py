@@ -212,3 +212,28 @@ def test_a_simulation_needs_a_mobile_mapper_or_a_static_scanner(missing, tmp_pat
         load(tmp_path, facts, "city")
     facts["simulation"]["static_scanner"] = {"spacing_m": 40}
     load(tmp_path, facts, "city")
+
+
+def test_parts_may_share_a_file_when_their_stretches_do_not_meet(tmp_path):
+    facts = oakland_facts()
+    facts["parts"] = {
+        "train": {"files": ["a"], "n_tiles": 1, "stretch": [0, 0.6]},
+        "validation": {"files": ["a"], "n_tiles": 1, "stretch": [0.6, 0.7]},
+        "test": {"files": ["a"], "n_tiles": 1, "stretch": [0.7, 1]},
+    }
+    assert load(tmp_path, facts).part("validation").stretch == (0.6, 0.7)
+    for stretch, message in (([0.6, 0.71], "validation and test"), ([0.6, 0.6], "lower and a higher"), ([0.6], "stretch")):
+        facts["parts"]["validation"]["stretch"] = stretch
+        with pytest.raises(BadInput, match=message):
+            load(tmp_path, facts)
+    facts["parts"]["validation"] = {"files": ["a", "b"], "n_tiles": 1, "stretch": [0.6, 0.7]}
+    with pytest.raises(BadInput, match="no other files"):
+        load(tmp_path, facts)
+
+
+def test_a_folder_is_no_file(tmp_path):
+    (tmp_path / "oakland").mkdir()
+    facts = oakland_facts()
+    facts["parts"]["test"]["files"] = ["oakland"]
+    with pytest.raises(BadInput, match="is a folder"):
+        load(tmp_path, facts).files("test", tmp_path)

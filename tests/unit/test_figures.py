@@ -69,7 +69,7 @@ def test_equal_numbers_are_equal_files(tmp_path):
 def test_png_has_the_size_asked_for(tmp_path):
     figures.save_figure(drawings()["view"], tmp_path / "view.png", dpi=100)
     image = Image.open(tmp_path / "view.png")
-    assert image.mode == "P"
+    assert image.mode == "RGB"
     assert image.width == round(100 * figures.WIDTH_IN)
 
 
@@ -141,3 +141,11 @@ def test_scale_bars_are_round(pixel_m, bar):
     assert texts(figure) == [bar]
     (line,) = {round(float(np.ptp(line.get_xdata()) * pixel_m), 6) for line in figure.axes[0].lines}
     assert f"{line:g} m" == bar
+
+
+def test_a_picture_keeps_the_colours_of_the_classes(tmp_path):
+    """However many shades the rest of the picture has."""
+    noise = np.random.default_rng(0).integers(0, 256, (300, 600, 3)).astype(np.uint8)
+    figures.save_figure(figures.map_view(noise, figures.legend_entries(np.arange(N_CLASSES)), "Shades"), tmp_path / "a.png")
+    found = {tuple(pixel) for pixel in np.asarray(Image.open(tmp_path / "a.png").convert("RGB")).reshape(-1, 3).tolist()}
+    assert {tuple(c.colour) for c in CLASSES} <= found

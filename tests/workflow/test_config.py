@@ -75,6 +75,9 @@ def test_misspelt_key_is_named(override, key, tmp_path):
     assert len(output.splitlines()) < 20
 
 
+SELF_STARTED = {"channels": ["count"], "weights": "own", "initial": "city_tiny/a", "schedule": {}}
+
+
 @pytest.mark.parametrize(
     ("override", "named"),
     [
@@ -84,7 +87,8 @@ def test_misspelt_key_is_named(override, key, tmp_path):
         ({"voxelize_map": {"size_m": float("nan")}}, "voxelize_map.size_m"),
         ({"labelled_maps": ["city_tiny/nomodel"]}, "nomodel"),
         ({"labelled_maps": ["own_scan/c2cnn"]}, "own_scan"),
-        ({"labelled_maps": ["terramobilita/c2cnn"]}, "terramobilita"),
+        ({"labelled_maps": ["amsterdam/c2cnn"]}, "amsterdam"),
+        ({"labelled_maps": ["city_tiny/a"], "models": {"a": {**SELF_STARTED}}}, "starts from itself"),
         ({"registered_drives": ["nowhere/ndt_tall"]}, "nowhere.yaml"),
         ({"merged_drives": ["kitti_0001/icp"]}, "registrar 'icp'"),
         ({"registrars": {"ndt_tall": {"classes": ["walls"]}}}, "registrars.ndt_tall.classes"),
