@@ -44,7 +44,7 @@ def same(a, b) -> bool:
 
 def test_truth_of_the_test_part_and_a_second_run_change_no_output(finished, tmp_path):
     scan, directory, extra = finished
-    report = (directory / "results/tabulate_benchmarks/default/report.html").read_text()
+    report = (directory / "results/tabulate_benchmarks/own/report.html").read_text()
     assert "tiny" in report
     assert not re.search(r"(src|href)=.https?:", report)
 
@@ -74,7 +74,7 @@ def test_own_scan_needs_neither_truth_nor_training(tiny_scan, tmp_path):
     directory = tmp_path / "own"
     run(tiny_scan, directory)
     assert not (directory / "results/train_segmenter").exists()
-    assert (directory / "results/tabulate_benchmarks/default/report.html").is_file()
+    assert (directory / "results/tabulate_benchmarks/own/report.html").is_file()
 
 
 def test_bad_input_ends_with_one_sentence_and_leaves_nothing(tiny_scan, tmp_path):
