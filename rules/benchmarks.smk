@@ -207,6 +207,58 @@ rule evaluate_localization:
         "../scripts/evaluate_localization.py"
 
 
+rule evaluate_reconstruction:
+    """Reconstructed keyframes of a drive against its truth: scale, turns, ranges of the dense cloud."""
+    input:
+        code=library("evaluate_reconstruction"),
+        facts=f"{DRIVES}/{{drive}}.yaml",
+        schema=f"{HOME}/config/drive.schema.yaml",
+        truth=drive_file("truth"),
+        summaries=lambda w: for_keyframes("results/reconstruct_keyframe/{drive}/{keyframe}/summary.csv", [w.drive]),
+        models=lambda w: for_keyframes("results/reconstruct_keyframe/{drive}/{keyframe}/model", [w.drive]),
+    output:
+        keyframes="results/evaluate_reconstruction/{drive}/keyframes.csv",
+        scores="results/evaluate_reconstruction/{drive}/scores.csv",
+    log:
+        "results/evaluate_reconstruction/{drive}/scores.log",
+    conda:
+        "../envs/streetscan.yaml"
+    resources:
+        mem_mb=4000,
+    params:
+        **config["evaluate_reconstruction"],
+        drive=lambda w: w.drive,
+        street=lambda w: street_of(w) if step_of_drive(w.drive) == "simulate_drive" else None,
+        data_root=config["data_root"],
+        seed=config["seed"],
+        n_threads=config["n_threads"],
+    script:
+        "../scripts/evaluate_reconstruction.py"
+
+
+rule evaluate_calibration:
+    """Pixel errors of a drive's calibrated keyframes stage by stage, and errors of their transforms, against its truth."""
+    input:
+        code=library("evaluate_calibration"),
+        drive=drive_file("drive.mcap"),
+        truth=drive_file("truth"),
+        keyframes="results/choose_keyframes/{drive}/keyframes.csv",
+        calibrations=lambda w: for_keyframes("results/calibrate_keyframe/{drive}/{keyframe}/calibration.yaml", [w.drive]),
+        drive_calibration="results/calibrate_drive/{drive}/calibration.yaml",
+    output:
+        errors="results/evaluate_calibration/{drive}/errors.csv",
+        transforms="results/evaluate_calibration/{drive}/transforms.csv",
+        scores="results/evaluate_calibration/{drive}/scores.csv",
+    log:
+        "results/evaluate_calibration/{drive}/scores.log",
+    conda:
+        "../envs/streetscan.yaml"
+    resources:
+        mem_mb=1000,
+    script:
+        "../scripts/evaluate_calibration.py"
+
+
 rule tabulate_benchmarks:
     """The papers' tables with ours beside theirs, as CSV, Markdown and LaTeX, and one report of the run."""
     input:
@@ -228,6 +280,11 @@ rule tabulate_benchmarks:
         localization_pictures=for_localizations(
             "results/localize_frames/{dataset}/{drive}/{labels}/{localizer}/pictures", SCORED_LOCALIZATIONS
         ),
+        reconstructions=expand("results/evaluate_reconstruction/{drive}/scores.csv", drive=SCORED_CALIBRATIONS),
+        models=for_keyframes("results/reconstruct_keyframe/{drive}/{keyframe}/model", CALIBRATED),
+        calibrations=expand("results/evaluate_calibration/{drive}/scores.csv", drive=SCORED_CALIBRATIONS),
+        calibrated=for_keyframes("results/calibrate_keyframe/{drive}/{keyframe}/pictures", CALIBRATED),
+        verdicts=for_keyframes("results/calibrate_keyframe/{drive}/{keyframe}/summary.csv", CALIBRATED),
     output:
         scores="results/tabulate_benchmarks/{run}/scores.csv",
         report="results/tabulate_benchmarks/{run}/report.html",

@@ -24,6 +24,7 @@ wildcard_constraints:
     registrar=r"[a-z0-9_]+",
     labels=r"[a-z0-9_]+",
     localizer=r"[a-z0-9_]+",
+    keyframe=r"\d\d",
     run=r"[a-z0-9_]+",
 
 
@@ -74,7 +75,7 @@ def check_config():
 
 check_config()
 
-SELECTIONS = ("labelled_maps", "drives", "registered_drives", "merged_drives", "localized_drives")
+SELECTIONS = ("labelled_maps", "drives", "registered_drives", "merged_drives", "calibrated_drives", "localized_drives")
 if not any(config[key] for key in (*SELECTIONS, "datasets_folder", "drives_folder")):
     config.update(config["first_run"])
 elif config["run"] == "default":
@@ -432,6 +433,30 @@ def mapped_truth(name):
     return path
 
 
+def n_keyframes(drive):
+    """How many keyframes a drive has, as its file says."""
+    camera = (drive_facts(drive).get("simulation") or drive_facts(drive)).get("camera")
+    if camera is None:
+        raise WorkflowError(f"calibrated_drives: drive '{drive}' has no camera; leave it out, or add the camera to its file.")
+    return camera.get("n_keyframes", 2 if step_of_drive(drive) == "simulate_drive" else 1)
+
+
+def for_keyframes(path, drives):
+    """A path's instances for every keyframe of drives."""
+    return [path.format(drive=d, keyframe=f"{k:02d}") for d in drives for k in range(n_keyframes(d))]
+
+
+def keyframe_poses(wildcards):
+    """An input function: the lidar's poses that keyframes take their unit and motion from."""
+    return f"results/register_frames/{wildcards.drive}/{config['reconstruct_keyframe']['registrar']}/poses.csv"
+
+
+CALIBRATED = config["calibrated_drives"]
+for drive in CALIBRATED:
+    n_keyframes(drive)
+    check_registrar(drive, config["reconstruct_keyframe"]["registrar"], "reconstruct_keyframe")
+
+
 def place_of(drive):
     """What a simulated drive goes along (main_road, narrow_road, crossroads, ...), or nothing."""
     return drive_facts(drive).get("simulation", {}).get("place", "")
@@ -442,6 +467,9 @@ def has_poses(drive):
     return drive_facts(drive)["reader"] == "simulate" or "poses" in drive_facts(drive).get("truth", {})
 
 
+SCORED_CALIBRATIONS = [
+    d for d in CALIBRATED if has_poses(d) and (step_of_drive(d) == "simulate_drive" or "extrinsics" in drive_facts(d)["truth"])
+]
 LOCALIZED = localizations()
 SCORED_LOCALIZATIONS = [(*names, place_of(names[1])) for names in LOCALIZED if has_poses(names[1])]
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import pandas as pd
 import yaml
 
-from streetscan.benchmarks import localizations, registrations, report, scores, tables
+from streetscan.benchmarks import calibrations, localizations, registrations, report, scores, tables
 from streetscan.logs import logged
 
 Pairs = Sequence[tuple[str, str]]
@@ -20,13 +20,12 @@ def main(
     Args:
         inputs: of evaluate_labels `evaluations` and `confusions`, one per pair in `evaluated`; `histories`, per pair in `trained`; of
             evaluate_views `views`, per pair in `viewed`; of evaluate_registration `registrations` and `trajectories`, per pair in
-            `registered`; of merge_frames `streets`, per pair in `merged`; of evaluate_frames `grids` and of show_frames `frames`, per
-            drive; of evaluate_localization `localizations` and of localize_frames `localization_pictures`, per name in `localized`;
-            `realism` (realism.csv, one per name in `compared`), `densities` (density.csv, one per key of `static_scans`).
-        outputs: `scores`, `report` (files), `tables`, `figures` (folders).
+            `registered`; of merge_frames `streets`, per pair in `merged`; per drive `grids` of evaluate_frames and `frames` of show_frames;
+            per name in `localized` `localizations` and `localization_pictures`; per drive `reconstructions`, `calibrations`; per keyframe
+            `models`, `calibrated`, `verdicts`; `realism` (per name in `compared`), `densities` (per key of `static_scans`).
+        outputs: `scores`, `report` (files), `tables`, `figures` (folders). config: the resolved one; its `run` and `seed` name the report.
         evaluated, trained, viewed: (data set, model); registered, merged: (drive, registrar); localized: (data set, drive, labels, ...).
         facts: of Table 1.2, by data set. realism: `simulated` data sets; names `compared`, `not_compared`; `static_scans`: mobile data set.
-        config: the resolved configuration, printed in the report; its `run` and `seed` name it.
     """
     files = zip(inputs["evaluations"], inputs["confusions"], map(tuple, evaluated), strict=True)
     evaluations = [scores.read_evaluation(*paths, *pair, config["seed"]) for *paths, pair in files]
@@ -35,7 +34,9 @@ def main(
     drives = registrations.read_registrations(inputs["registrations"], inputs["trajectories"], registered)
     on_maps = localizations.read_localizations(inputs["localizations"], localized)
     of_drives = registrations.registration_scores(drives, inputs["grids"]) + localizations.localization_scores(on_maps)
-    found = scores.collect_scores(evaluations, facts, of_drives)
+    found = scores.collect_scores(
+        evaluations, facts, of_drives + calibrations.all_scores(inputs["reconstructions"], inputs["calibrations"])
+    )
     printed = tables.make_tables(found)
     sheets = scores.read_named(inputs["realism"], realism["compared"])
     densities = scores.read_named(inputs["densities"], realism["static_scans"])
@@ -44,6 +45,7 @@ def main(
     streets = dict(zip(map(tuple, merged), inputs["streets"], strict=True))
     sections += registrations.draw_drives(outputs["figures"], drives, streets, inputs["frames"])
     sections += localizations.draw_localizations(outputs["figures"], on_maps, inputs["localization_pictures"])
+    sections += calibrations.draw_keyframes(inputs["models"], inputs["calibrated"], inputs["verdicts"])
     labelled = list(dict.fromkeys([*map(tuple, evaluated), *views]))
     about = report.describe_run(config["run"], config["seed"], labelled, registered)
     resolved, unscored = yaml.safe_dump(dict(config), sort_keys=False, allow_unicode=True), labelled[len(evaluated) :]

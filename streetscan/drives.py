@@ -73,6 +73,7 @@ class CameraFacts:
     stamp_offset_s: float = 0.0
     calibration: dict[str, Any] | None = None
     source: str = ""
+    n_keyframes: int = 1
 
 
 @dataclass(frozen=True)

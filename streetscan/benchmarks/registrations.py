@@ -15,7 +15,7 @@ from streetscan.benchmarks import figures as draw
 from streetscan.benchmarks.published import title
 from streetscan.benchmarks.report import Gallery, Part, Picture, Section, embed, save_picture
 from streetscan.benchmarks.scores import make_score
-from streetscan.errors import BadInput
+from streetscan.io.tables import read_csv
 
 # The registrars that are the paper's two columns.
 PAPER_COLUMNS = {"ndt_tall": "presegmented", "ndt_raw": "raw"}
@@ -52,27 +52,17 @@ def read_registrations(scores: Sequence[str], trajectories: Sequence[str], pairs
     """What evaluate_registration wrote, one of each per (drive, registrar) pair. BadInput when a file is missing or lacks a column."""
     columns = ("metric", "value", "unit", "n"), ("frame", "x_m", "y_m", "true_x_m")
     return [
-        Registration(*pair, *(_read_csv(path, names, "evaluate_registration") for path, names in zip(paths, columns, strict=True)))
+        Registration(*pair, *(read_csv(path, names, "evaluate_registration") for path, names in zip(paths, columns, strict=True)))
         for *paths, pair in zip(scores, trajectories, pairs, strict=True)
     ]
 
 
 def _grid_scores(path: str) -> list[dict]:
-    drive, content = Path(path).parent.name, _read_csv(path, ("class", "metric", "value", "unit"), "evaluate_frames")
+    drive, content = Path(path).parent.name, read_csv(path, ("class", "metric", "value", "unit"), "evaluate_frames")
     return [
         make_score("grid_classes", drive, r["class"], r["metric"], r["value"], r["unit"], dataset=drive, method="grid")
         for r in content.to_dict("records")
     ]
-
-
-def _read_csv(path: str, columns: Sequence[str], step: str) -> pd.DataFrame:
-    try:
-        content = pd.read_csv(path)
-    except (OSError, ValueError) as error:
-        raise BadInput(path, f"not a CSV table ({error})", f"delete it and run {step} again") from error
-    if missing := [c for c in columns if c not in content]:
-        raise BadInput(path, f"lacks the column '{missing[0]}'", f"delete it and run {step} again")
-    return content
 
 
 def registration_scores(registrations: Sequence[Registration], grids: Sequence[str] = ()) -> list[dict]:

@@ -1,8 +1,9 @@
-"""A tiny drive through segment_frames, register_frames and merge_frames."""
+"""A tiny drive through segment_frames, register_frames and merge_frames; a toy keyframe through calibrate_keyframe."""
 
 import numpy as np
 import pytest
 from street_frames import drive
+from toy_calibration import calibrate_toy, toy_keyframe, write_keyframe
 from toy_drives import RegisteredDrive, write_drive
 from toy_localization import write_files
 
@@ -36,3 +37,15 @@ def registered_drive(tmp_path_factory) -> RegisteredDrive:
 def localization_files(tmp_path_factory):
     """The street of boxes as files, made once; treat them as read-only."""
     return write_files(tmp_path_factory.mktemp("street"))
+
+
+@pytest.fixture(scope="session")
+def toy_inputs(tmp_path_factory):
+    """What the steps before calibrate_keyframe write, of a toy keyframe."""
+    return write_keyframe(tmp_path_factory.mktemp("toy_keyframe"), toy_keyframe())
+
+
+@pytest.fixture(scope="session")
+def calibrated(tmp_path_factory, toy_inputs):
+    """The outputs of calibrate_keyframe for it."""
+    return calibrate_toy(tmp_path_factory.mktemp("calibrated"), toy_inputs)

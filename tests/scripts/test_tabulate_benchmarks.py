@@ -37,6 +37,11 @@ def inputs(tmp_path):
         "streets": [],
         "frames": [],
         "localizations": [],
+        "reconstructions": [],
+        "models": [],
+        "calibrations": [],
+        "calibrated": [],
+        "verdicts": [],
         "localization_pictures": [],
     }
     for dataset, _ in EVALUATED:

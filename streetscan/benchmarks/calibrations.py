@@ -1,0 +1,127 @@
+"""Reconstructed and calibrated keyframes in the tables and the report, beside the thesis' figures.
+
+Source: Nagy (2020), 4.3.1 (points of Fig. 4.2, reprojection error), Figs. 4.2-4.9, 4.11, 4.13, Tables 4.1 and 4.2.
+"""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from streetscan.benchmarks.published import title
+from streetscan.benchmarks.report import Gallery, Part, Section, embed
+from streetscan.benchmarks.scores import make_score
+from streetscan.io.tables import read_csv
+
+# Metric of evaluate_reconstruction to row and metric of the thesis' single figures.
+_TEXT = {
+    "n_sparse": ("sfm_sparse", "n_points"), "n_dense": ("sfm_dense", "n_points"), "projection_error": ("sfm_reprojection", "error"),
+}  # fmt: skip
+_PICTURES = {
+    "images": "Images", "sparse": "Sparse", "dense": "Dense", "masks": "Moving", "dynamic": "Moving in 3-D", "points": "Points",
+    "features": "Their features", "errors": "Errors x 10",
+}  # fmt: skip
+
+_CALIBRATION_PICTURES = {
+    "overlay": "Projected", "overlay_before": "Projected, by objects alone", "aligned": "Aligned", "aligned_objects": "Aligned by objects",
+    "lidar_objects": "Objects of the lidar", "sfm_objects": "Objects of the images", "lidar_shapes": "Shapes of the lidar",
+    "sfm_shapes": "Shapes of the images", "curves": "Control curves",
+}  # fmt: skip
+# Stage to row of Table 4.2, which is of the slow set.
+_STEPS = {"objects_raw": "oba_raw", "objects": "oba_dynamic_filtered", "curves": "icp_nurbs", "icp": "icp", "motion": "motion"}
+_PIXELS = ("x_mean", "x_deviation", "y_mean", "y_deviation")
+
+
+def reconstruction_scores(paths: Sequence[str]) -> list[dict]:
+    """Rows of the tidy scores: one row per drive in the table `reconstruction`, and the thesis' single figures.
+
+    Args:
+        paths: `evaluate_reconstruction/<drive>/scores.csv`, one per drive.
+    """
+    rows = []
+    for path in paths:
+        drive = Path(path).parent.name
+        found = read_csv(path, ("metric", "value", "unit", "n"), "evaluate_reconstruction")
+        found["unit"] = found["unit"].fillna("")
+        for r in found.to_dict("records"):
+            rows.append(make_score("reconstruction", drive, "", r["metric"], r["value"], r["unit"], r["n"], drive, "sfm"))
+            if r["metric"] in _TEXT:
+                row, metric = _TEXT[r["metric"]]
+                rows.append(make_score("nagy_text", row, "proposed", metric, r["value"], r["unit"], r["n"], drive, "sfm"))
+    return rows
+
+
+def draw_reconstructions(models: Sequence[str]) -> list[Section]:
+    """A section per drive with the pictures of its keyframes.
+
+    Args:
+        models: folders of reconstruct_keyframe, `<drive>/<keyframe>/model`, one per keyframe.
+    """
+    sections, keyframes = [], [Path(path).parts[-3:-1] for path in models]
+    for drive in dict.fromkeys(d for d, _ in keyframes):
+        parts = []
+        for folder, (of, keyframe) in zip(map(Path, models), keyframes, strict=True):
+            files = [(name, folder / f"{kind}.png") for kind, name in _PICTURES.items() if (folder / f"{kind}.png").is_file()]
+            if of == drive and files:
+                who = f"keyframe {keyframe} of {title(drive)}"
+                caption = f"{who.capitalize()}: images, clouds from behind and above the camera, points and the features that saw them."
+                gallery = Gallery(f"keyframe-{drive}-{keyframe}", [(name, embed(path, f"{name}, {who}")) for name, path in files], caption)
+                parts.append(Part(f"reconstructed-{drive}-{keyframe}", f"Keyframe {keyframe}", "", [gallery]))
+        if parts:
+            sections.append(Section(f"reconstructed-{drive}", f"{title(drive)} from images", "", [], parts))
+    return sections
+
+
+def calibration_scores(paths: Sequence[str]) -> list[dict]:
+    """Rows of the tidy scores: Tables 4.1 and 4.2, and one row per drive in the table `calibration`.
+
+    Args:
+        paths: `evaluate_calibration/<drive>/scores.csv`, one per drive.
+    """
+    rows = []
+    for path in paths:
+        drive = Path(path).parent.name
+        found = read_csv(path, ("set", "stage", "metric", "value", "unit", "n"), "evaluate_calibration").fillna({"set": "", "stage": ""})
+        for r in found.to_dict("records"):
+            figure = r["value"], r["unit"], r["n"], drive
+            if r["stage"] == "final" and r["metric"] in _PIXELS:
+                rows.append(make_score("nagy_4_1", "proposed", r["set"], r["metric"], *figure, "final"))
+                rows.append(make_score("calibration", drive, "", r["metric"], *figure, "final"))
+            elif r["stage"] == "final":
+                rows.append(make_score("calibration", drive, "", r["metric"], *figure, "final"))
+            elif r["stage"] in _STEPS and r["set"] == "slow" and r["metric"] in _PIXELS:
+                rows.append(make_score("nagy_4_2", _STEPS[r["stage"]], "", r["metric"], *figure, r["stage"]))
+            elif r["stage"] in ("", "drive"):
+                rows.append(make_score("calibration", drive, "", r["metric"], *figure, r["stage"] or "keyframes"))
+    return rows
+
+
+def draw_calibrations(folders: Sequence[str], summaries: Sequence[str]) -> list[Section]:
+    """A section per drive with the verdicts and pictures of its keyframes.
+
+    Args:
+        folders, summaries: of calibrate_keyframe, `<drive>/<keyframe>/pictures` and summary.csv, one of each per keyframe.
+    """
+    sections, keyframes = [], [Path(path).parts[-3:-1] for path in folders]
+    for drive in dict.fromkeys(d for d, _ in keyframes):
+        parts = []
+        for folder, summary, (of, keyframe) in zip(map(Path, folders), summaries, keyframes, strict=True):
+            if of != drive:
+                continue
+            row = read_csv(summary, ("status", "reason"), "calibrate_keyframe").fillna("").iloc[0]
+            verdict = f"{row.status}{f': {row.reason}' if row.reason else ''}"
+            who = f"keyframe {keyframe} of {title(drive)}"
+            files = [(name, folder / f"{kind}.png") for kind, name in _CALIBRATION_PICTURES.items() if (folder / f"{kind}.png").is_file()]
+            caption = f"{who.capitalize()} ({verdict}): points of the lidar red nearby, green far off, those of matched objects blue."
+            shown = [Gallery(f"calibrated-{drive}-{keyframe}-g", [(name, embed(path, f"{name}, {who}")) for name, path in files], caption)]
+            parts.append(Part(f"calibrated-{drive}-{keyframe}", f"Keyframe {keyframe}: {verdict}", "", shown if files else []))
+        sections.append(Section(f"calibrated-{drive}", f"Camera and lidar of {title(drive)}", "", [], parts))
+    return sections
+
+
+def draw_keyframes(models: Sequence[str], calibrated: Sequence[str], verdicts: Sequence[str]) -> list[Section]:
+    """The sections of `draw_reconstructions` and `draw_calibrations`."""
+    return draw_reconstructions(models) + draw_calibrations(calibrated, verdicts)
+
+
+def all_scores(reconstructions: Sequence[str], calibrations: Sequence[str]) -> list[dict]:
+    """The rows of `reconstruction_scores` and `calibration_scores`."""
+    return reconstruction_scores(reconstructions) + calibration_scores(calibrations)

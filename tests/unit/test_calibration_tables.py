@@ -1,0 +1,46 @@
+"""Reconstructed keyframes in the tables and the report."""
+
+import cv2
+import numpy as np
+import pandas as pd
+import pytest
+
+from streetscan.benchmarks.calibrations import draw_reconstructions, reconstruction_scores
+from streetscan.benchmarks.scores import collect_scores
+from streetscan.benchmarks.tables import make_tables
+from streetscan.errors import BadInput
+
+
+def write_scores(folder):
+    path = folder / "evaluate_reconstruction" / "my_drive" / "scores.csv"
+    path.parent.mkdir(parents=True)
+    rows = [("accepted", 50.0, "%", 2), ("n_sparse", 1500, "", 1), ("n_dense", 200000, "", 1), ("projection_error", 0.6, "px", 1)]
+    pd.DataFrame(rows, columns=["metric", "value", "unit", "n"]).to_csv(path, index=False)
+    return str(path)
+
+
+def test_our_counts_stand_beside_the_thesis_s(tmp_path):
+    rows = pd.DataFrame(reconstruction_scores([write_scores(tmp_path)]))
+    beside = rows[rows.table == "nagy_text"].set_index("row")
+    assert beside.paper.to_dict() == {"sfm_sparse": "2041", "sfm_dense": "257796", "sfm_reprojection": "1.02"}
+    assert beside.ours.to_dict() == {"sfm_sparse": 1500, "sfm_dense": 200000, "sfm_reprojection": 0.6}
+    assert rows[rows.table == "reconstruction"].column.tolist() == ["accepted", "n_sparse", "n_dense", "projection_error"]
+    tables = make_tables(collect_scores([], {}, rows.to_dict("records")))
+    assert tables
+
+
+def test_a_table_of_something_else_is_refused(tmp_path):
+    (tmp_path / "scores.csv").write_text("a\n1\n")
+    with pytest.raises(BadInput, match="metric"):
+        reconstruction_scores([str(tmp_path / "scores.csv")])
+
+
+def test_keyframes_with_pictures_have_a_place_in_the_report(tmp_path):
+    models = [tmp_path / "my_drive" / f"{k:02d}" / "model" for k in range(2)]
+    for model in models:
+        model.mkdir(parents=True)
+    cv2.imwrite(str(models[0] / "dense.png"), np.zeros((4, 4, 3), np.uint8))
+    sections = draw_reconstructions([str(model) for model in models])
+    assert [section.parts[0].heading for section in sections] == ["Keyframe 00"]
+    assert len(sections[0].parts) == 1
+    assert draw_reconstructions([str(models[1])]) == []

@@ -1,0 +1,137 @@
+"""Keyframes of tiny drives: what is chosen, and what is said where nothing can be."""
+
+import numpy as np
+import pytest
+from street_frames import drive as lidar_drive
+from toy_camera import camera_images, toy_camera
+from toy_drives import LEVEL
+
+from streetscan.calibration.keyframes import (
+    KeyframeSettings,
+    choose_keyframes,
+    count_columns,
+    measure_movement,
+    read_keyframe_images,
+    read_keyframe_lidar,
+    read_keyframes,
+    saturated_share,
+    tabulate_keyframes,
+)
+from streetscan.errors import BadInput
+from streetscan.frames import CameraImage, LidarFrame
+from streetscan.io.mcap import open_drive_writer
+from streetscan.io.tables import save_tables
+
+CAMERA = toy_camera()
+START_NS = 1_700_000_000_000_000_000
+STEP_NS = 100_000_000
+FEW = KeyframeSettings(n_images=3, min_columns=0, min_movement_px=2.0)
+
+
+@pytest.fixture(scope="module")
+def lidar_frames():
+    return lidar_drive(2, n_beams=64, n_azimuths=1800)[0]
+
+
+def write(path, images: list[CameraImage], frames: list[np.ndarray], camera=CAMERA, lidar_ns=START_NS + 20_000_000):
+    with open_drive_writer(path) as writer:
+        writer.write_mounting(LEVEL, START_NS)
+        if camera is not None:
+            writer.write_calibration(camera, START_NS)
+        for i, points in enumerate(frames):
+            writer.write_lidar(LidarFrame(lidar_ns + i * STEP_NS, points))
+        for image in images:
+            writer.write_image(image)
+    return path
+
+
+def moving(toy_street, n: int = 5) -> list[CameraImage]:
+    return camera_images(toy_street.images[:n], [START_NS + i * STEP_NS for i in range(n)])
+
+
+def test_images_and_the_lidar_frame_beside_the_first(toy_street, lidar_frames, tmp_path):
+    path = write(tmp_path / "drive.mcap", moving(toy_street), lidar_frames)
+    found = choose_keyframes(path, 3, FEW)
+    assert [k.status for k in found] == ["ok"] * 3
+    assert [k.images for k in found] == [[0, 1, 2], [1, 2, 3], [2, 3, 4]]
+    assert [k.lidar_frame for k in found] == [0, 1, 1]
+    assert all(m > 2 for k in found for m in k.movements_px)
+    images = read_keyframe_images(path, found[1])
+    assert np.array_equal(images[0], toy_street.images[1])
+    assert len(read_keyframe_lidar(path, found[1])) == len(lidar_frames[1])
+
+
+def test_the_table_keeps_everything(toy_street, lidar_frames, tmp_path):
+    path = write(tmp_path / "drive.mcap", moving(toy_street), lidar_frames)
+    found = choose_keyframes(path, 4, FEW)
+    assert [k.status for k in found] == ["ok", "ok", "ok", "no_images"]
+    save_tables({tmp_path / "keyframes.csv": tabulate_keyframes(found)})
+    again = read_keyframes(tmp_path / "keyframes.csv")
+    assert [(k.index, k.status, k.reason, k.images, k.image_times_ns, k.lidar_time_ns) for k in again] == [
+        (k.index, k.status, k.reason, k.images, k.image_times_ns, k.lidar_time_ns) for k in found
+    ]
+    (tmp_path / "other.csv").write_text("a,b\n1,2\n")
+    with pytest.raises(BadInput, match="no table of keyframes"):
+        read_keyframes(tmp_path / "other.csv")
+
+
+def test_images_that_hardly_moved_are_skipped(toy_street, lidar_frames, tmp_path):
+    times = [START_NS + i * STEP_NS for i in range(6)]
+    doubled = camera_images([toy_street.images[i // 2] for i in range(6)], times)
+    path = write(tmp_path / "drive.mcap", doubled, lidar_frames)
+    assert choose_keyframes(path, 1, FEW)[0].images == [0, 2, 4]
+
+
+def test_what_makes_no_keyframe_says_why(toy_street, lidar_frames, tmp_path):
+    times = [START_NS + i * STEP_NS for i in range(5)]
+    white = [np.full_like(image, 255) for image in toy_street.images]
+    damaged = moving(toy_street)
+    damaged[2].data = b"nothing"
+    cases = {
+        "no_images": (moving(toy_street, 2), lidar_frames, FEW),
+        "no_motion": (camera_images([toy_street.images[0]] * 5, times), lidar_frames, FEW),
+        "saturated": (camera_images(white, times), lidar_frames, FEW),
+        "bad_images": (damaged, lidar_frames, FEW),
+        "no_lidar": (moving(toy_street), [], FEW),
+        "few_columns": (moving(toy_street), lidar_frames, KeyframeSettings(n_images=3, min_columns=99, min_movement_px=2.0)),
+    }
+    for status, (images, frames, settings) in cases.items():
+        found = choose_keyframes(write(tmp_path / f"{status}.mcap", images, frames), 2, settings)
+        assert [k.status for k in found] == [status] * 2, status
+        assert all(k.reason for k in found)
+
+
+def test_gaps_part_images(toy_street, lidar_frames, tmp_path):
+    images = moving(toy_street)
+    for i in (3, 4):
+        images[i].time_ns += 1_000_000_000
+    found = choose_keyframes(write(tmp_path / "drive.mcap", images, lidar_frames), 1, FEW)
+    assert found[0].images == [0, 1, 2]
+
+
+def test_unusable_intrinsics_stop_the_step(toy_street, lidar_frames, tmp_path):
+    with pytest.raises(BadInput, match="no intrinsics"):
+        choose_keyframes(write(tmp_path / "drive.mcap", moving(toy_street), lidar_frames, None), 1)
+
+
+def test_movement_and_saturation_by_hand(toy_street):
+    grey = toy_street.images[0][..., 0]
+    assert measure_movement(grey, grey) < 0.1
+    shifted = np.roll(grey, 6, axis=1)
+    assert measure_movement(grey, shifted) == pytest.approx(6, abs=1.5)
+    image = np.full((10, 10, 3), 100, np.uint8)
+    image[:3] = 255
+    image[3] = 0
+    assert saturated_share(image) == pytest.approx(0.4)
+
+
+def test_columns_are_counted_in_view(lidar_frames):
+    """Of the street's posts, those ahead; house fronts and cars are none."""
+    everywhere, ahead = count_columns(lidar_frames[0], 2 * np.pi), count_columns(lidar_frames[0], np.radians(66))
+    assert 3 <= ahead < everywhere
+    assert count_columns(np.empty((0, 3)), 1.0) == 0
+
+
+def test_settings_are_checked():
+    with pytest.raises(BadInput, match="min_images"):
+        KeyframeSettings(min_images=9)

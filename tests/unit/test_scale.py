@@ -1,0 +1,78 @@
+"""The unit of a cloud from the lidar's motion: known drives, with a lever arm, turns and noise."""
+
+import numpy as np
+import pytest
+
+from streetscan.calibration.scale import NoScale, ScaleSettings, estimate_scale
+from streetscan.geometry import invert, transform
+from streetscan.registration.odometry import FramePose
+
+METRES_PER_UNIT = 3.7
+T_LIDAR_CAMERA = transform([0.4, 0.1, -0.2], [-np.pi / 2, 0.0, -np.pi / 2])
+
+
+def pose_at(time_s: float, turn_radps: float) -> np.ndarray:
+    """T_map_lidar at 7 m/s, turning."""
+    yaw = turn_radps * time_s
+    radius = 7 / turn_radps if turn_radps else 0.0
+    xy = (radius * np.sin(yaw), radius * (1 - np.cos(yaw))) if turn_radps else (7 * time_s, 0.0)
+    return transform([*xy, 0.0], [0, 0, yaw])
+
+
+def drive(turn_radps: float = 0.0, noise_m: float = 0.0, segments=(0,) * 14) -> tuple[np.ndarray, np.ndarray, list[FramePose]]:
+    """Cameras in units of structure from motion, their times, and the lidar's poses at 10 Hz."""
+    rng, image_times = np.random.default_rng(0), 0.5 + np.arange(8) / 28
+    cameras = np.array([invert(pose_at(t, turn_radps) @ T_LIDAR_CAMERA) for t in image_times])
+    cameras[:, :3, 3] /= METRES_PER_UNIT
+    poses = []
+    for i, segment in enumerate(segments):
+        T = pose_at(0.1 * i, turn_radps)
+        T[:3, 3] += rng.normal(0, noise_m, 3)
+        poses.append(FramePose(i, 0.1 * i, "ok", segment, T_segment_lidar=T))
+    return cameras, image_times, poses
+
+
+def test_a_straight_drive_tells_the_scale_and_no_lever_arm():
+    scale = estimate_scale(*drive())
+    assert scale.value == pytest.approx(METRES_PER_UNIT, rel=1e-6)
+    assert scale.way_m == pytest.approx(7 / 4)
+    assert np.abs(scale.lever_m).max() < 1e-6
+    assert 0 < scale.std < 0.02 * METRES_PER_UNIT
+
+
+def test_a_bend_makes_the_scale_uncertain_and_says_so():
+    """In a steady bend a camera beside the lidar has a longer or a shorter way, and nothing tells it from another scale."""
+    cameras, times, poses = drive(turn_radps=0.3)
+    found = estimate_scale(cameras, times, poses)
+    assert found.value == pytest.approx(METRES_PER_UNIT, rel=0.01)
+    assert found.std > 0.3 * 0.5 / 7 * METRES_PER_UNIT * 0.9
+    assert found.std > 2 * estimate_scale(*drive()).std
+    with pytest.raises(NoScale, match="uncertain"):
+        estimate_scale(*drive(turn_radps=1.2))
+
+
+def test_noise_of_poses_is_smoothed():
+    cameras, times, poses = drive(noise_m=0.01)
+    assert estimate_scale(cameras, times, poses).value == pytest.approx(METRES_PER_UNIT, rel=0.015)
+
+
+def test_an_image_that_was_not_registered_is_left_out():
+    cameras, times, poses = drive()
+    cameras[3] = np.nan
+    assert estimate_scale(cameras, times, poses).value == pytest.approx(METRES_PER_UNIT, rel=1e-6)
+
+
+def test_the_scale_is_not_guessed():
+    cameras, times, poses = drive()
+    with pytest.raises(NoScale, match="0 frames"):
+        estimate_scale(cameras, times, [])
+    with pytest.raises(NoScale, match="one segment"):
+        estimate_scale(*drive(segments=(0,) * 7 + (1,) * 7))
+    with pytest.raises(NoScale, match=r"moved by 1\.75 m"):
+        estimate_scale(cameras, times, poses, ScaleSettings(min_way_m=2.0))
+    with pytest.raises(NoScale, match="uncertain"):
+        estimate_scale(cameras, times, poses, ScaleSettings(max_std=1e-5))
+    for pose in poses:
+        pose.status = "lost"
+    with pytest.raises(NoScale):
+        estimate_scale(cameras, times, poses)
