@@ -23,8 +23,7 @@ def main(
             `registered`; of merge_frames `streets`, per pair in `merged`; per drive `grids` of evaluate_frames and `frames` of show_frames;
             per name in `localized` `localizations` and `localization_pictures`; per drive `reconstructions`, `calibrations`; per keyframe
             `models`, `calibrated`, `verdicts`; `realism` (per name in `compared`), `densities` (per key of `static_scans`).
-        outputs: `scores`, `report` (files), `tables`, `figures` (folders). config: the resolved one; its `run` and `seed` name the report.
-        evaluated, trained, viewed: (data set, model); registered, merged: (drive, registrar); localized: (data set, drive, labels, ...).
+        outputs: `scores`, `report` (files), `tables`, `figures` (folders). evaluated ... localized: names, their parts as in the paths.
         facts: of Table 1.2, by data set. realism: `simulated` data sets; names `compared`, `not_compared`; `static_scans`: mobile data set.
     """
     files = zip(inputs["evaluations"], inputs["confusions"], map(tuple, evaluated), strict=True)
@@ -34,9 +33,8 @@ def main(
     drives = registrations.read_registrations(inputs["registrations"], inputs["trajectories"], registered)
     on_maps = localizations.read_localizations(inputs["localizations"], localized)
     of_drives = registrations.registration_scores(drives, inputs["grids"]) + localizations.localization_scores(on_maps)
-    found = scores.collect_scores(
-        evaluations, facts, of_drives + calibrations.all_scores(inputs["reconstructions"], inputs["calibrations"])
-    )
+    of_keyframes = calibrations.all_scores(inputs["reconstructions"], inputs["calibrations"])
+    found = scores.collect_scores(evaluations, facts, of_drives + of_keyframes)
     printed = tables.make_tables(found)
     sheets = scores.read_named(inputs["realism"], realism["compared"])
     densities = scores.read_named(inputs["densities"], realism["static_scans"])
@@ -50,7 +48,7 @@ def main(
     about = report.describe_run(config["run"], config["seed"], labelled, registered)
     resolved, unscored = yaml.safe_dump(dict(config), sort_keys=False, allow_unicode=True), labelled[len(evaluated) :]
     html = report.render_report(about, found, printed, sections, resolved, unscored, realism["simulated"])
-    Path(outputs["figures"]).mkdir(parents=True, exist_ok=True)  # a run without truth has no figures
+    Path(outputs["figures"]).mkdir(parents=True, exist_ok=True)
     tables.write_tables(outputs["tables"], printed)
     scores.write_named(outputs["tables"], realism=sheets, density=densities)
     scores.write_scores(outputs["scores"], found)
