@@ -19,7 +19,7 @@ include: "rules/benchmarks.smk"
 
 
 rule all:
-    """Tables and report of the run, the products of every labelled map, poses and streets of registered drives, poses on maps, clouds of keyframes, and a page for every drive."""
+    """Tables and report of the run, the products of every labelled map, poses and streets of registered drives, poses on maps, clouds of keyframes, calibrations, and a page for every drive."""
     default_target: True
     input:
         [f"results/tabulate_benchmarks/{config['run']}/report.html"]
@@ -30,6 +30,7 @@ rule all:
         for_drives("results/register_frames/{drive}/{registrar}/poses.tum", REGISTERED),
         for_drives("results/merge_frames/{drive}/{registrar}/tiles", MERGED),
         for_keyframes("results/reconstruct_keyframe/{drive}/{keyframe}/summary.csv", CALIBRATED),
+        expand("results/calibrate_drive/{drive}/calibration.yaml", drive=CALIBRATED),
         for_localizations("results/localize_frames/{dataset}/{drive}/{labels}/{localizer}/poses.csv", LOCALIZED),
         expand("results/inspect_drive/{drive}/sheet.html", drive=config["drives"]),
         expand("results/evaluate_sensor/{drive}/scores.csv", drive=config["evaluate_sensor"]["drives"]),

@@ -236,6 +236,29 @@ rule evaluate_reconstruction:
         "../scripts/evaluate_reconstruction.py"
 
 
+rule evaluate_calibration:
+    """Pixel errors of a drive's calibrated keyframes stage by stage, and errors of their transforms, against its truth."""
+    input:
+        code=library("evaluate_calibration"),
+        drive=drive_file("drive.mcap"),
+        truth=drive_file("truth"),
+        keyframes="results/choose_keyframes/{drive}/keyframes.csv",
+        calibrations=lambda w: for_keyframes("results/calibrate_keyframe/{drive}/{keyframe}/calibration.yaml", [w.drive]),
+        drive_calibration="results/calibrate_drive/{drive}/calibration.yaml",
+    output:
+        errors="results/evaluate_calibration/{drive}/errors.csv",
+        transforms="results/evaluate_calibration/{drive}/transforms.csv",
+        scores="results/evaluate_calibration/{drive}/scores.csv",
+    log:
+        "results/evaluate_calibration/{drive}/scores.log",
+    conda:
+        "../envs/streetscan.yaml"
+    resources:
+        mem_mb=1000,
+    script:
+        "../scripts/evaluate_calibration.py"
+
+
 rule tabulate_benchmarks:
     """The papers' tables with ours beside theirs, as CSV, Markdown and LaTeX, and one report of the run."""
     input:
@@ -260,6 +283,9 @@ rule tabulate_benchmarks:
         reconstructions=expand("results/evaluate_reconstruction/{drive}/scores.csv", drive=SCORED_CALIBRATIONS),
         detections=expand("results/evaluate_detections/{drive}/scores.csv", drive=SCORED_DETECTIONS),
         models=for_keyframes("results/reconstruct_keyframe/{drive}/{keyframe}/model", CALIBRATED),
+        calibrations=expand("results/evaluate_calibration/{drive}/scores.csv", drive=SCORED_CALIBRATIONS),
+        calibrated=for_keyframes("results/calibrate_keyframe/{drive}/{keyframe}/pictures", CALIBRATED),
+        verdicts=for_keyframes("results/calibrate_keyframe/{drive}/{keyframe}/summary.csv", CALIBRATED),
     output:
         scores="results/tabulate_benchmarks/{run}/scores.csv",
         report="results/tabulate_benchmarks/{run}/report.html",

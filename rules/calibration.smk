@@ -29,7 +29,7 @@ rule reconstruct_keyframe:
         code=library("reconstruct_keyframe"),
         drive=drive_file("drive.mcap"),
         keyframes="results/choose_keyframes/{drive}/keyframes.csv",
-        poses=lambda w: f"results/register_frames/{w.drive}/{config['reconstruct_keyframe']['registrar']}/poses.csv",
+        poses=keyframe_poses,
         masks="results/detect_dynamic/{drive}/masks",
     output:
         model=directory("results/reconstruct_keyframe/{drive}/{keyframe}/model"),
@@ -50,3 +50,58 @@ rule reconstruct_keyframe:
         n_threads=config["n_threads"],
     script:
         "../scripts/reconstruct_keyframe.py"
+
+
+rule calibrate_keyframe:
+    """Camera and lidar calibrated at one keyframe: objects, vote, ICP, control curves, projection, verdict, pictures."""
+    input:
+        code=library("calibrate_keyframe"),
+        drive=drive_file("drive.mcap"),
+        keyframes="results/choose_keyframes/{drive}/keyframes.csv",
+        poses=keyframe_poses,
+        model="results/reconstruct_keyframe/{drive}/{keyframe}/model",
+        model_summary="results/reconstruct_keyframe/{drive}/{keyframe}/summary.csv",
+        dynamic="results/detect_dynamic/{drive}/lidar",
+    output:
+        calibration="results/calibrate_keyframe/{drive}/{keyframe}/calibration.yaml",
+        evidence="results/calibrate_keyframe/{drive}/{keyframe}/evidence.npz",
+        summary="results/calibrate_keyframe/{drive}/{keyframe}/summary.csv",
+        pictures=directory("results/calibrate_keyframe/{drive}/{keyframe}/pictures"),
+    log:
+        "results/calibrate_keyframe/{drive}/{keyframe}/calibration.log",
+    benchmark:
+        "results/calibrate_keyframe/{drive}/{keyframe}/calibration.bench.tsv"
+    conda:
+        "../envs/streetscan.yaml"
+    resources:
+        mem_mb=2000,
+    params:
+        settings=config["calibrate_keyframe"]["settings"],
+        keyframe=lambda w: int(w.keyframe),
+    script:
+        "../scripts/calibrate_keyframe.py"
+
+
+rule calibrate_drive:
+    """One calibration of a drive from its accepted keyframes, with covariance and time offset; which keyframe's is in force when."""
+    input:
+        code=library("calibrate_drive"),
+        drive=drive_file("drive.mcap"),
+        keyframes="results/choose_keyframes/{drive}/keyframes.csv",
+        poses=keyframe_poses,
+        calibrations=lambda w: for_keyframes("results/calibrate_keyframe/{drive}/{keyframe}/calibration.yaml", [w.drive]),
+        evidences=lambda w: for_keyframes("results/calibrate_keyframe/{drive}/{keyframe}/evidence.npz", [w.drive]),
+    output:
+        calibration="results/calibrate_drive/{drive}/calibration.yaml",
+        history="results/calibrate_drive/{drive}/history.csv",
+    log:
+        "results/calibrate_drive/{drive}/calibration.log",
+    conda:
+        "../envs/streetscan.yaml"
+    resources:
+        mem_mb=1000,
+    params:
+        settings=config["calibrate_drive"],
+        seed=config["seed"],
+    script:
+        "../scripts/calibrate_drive.py"

@@ -465,6 +465,11 @@ def for_keyframes(path, drives):
     return [path.format(drive=d, keyframe=f"{k:02d}") for d in drives for k in range(n_keyframes(d))]
 
 
+def keyframe_poses(wildcards):
+    """An input function: the lidar's poses that keyframes take their unit and motion from."""
+    return f"results/register_frames/{wildcards.drive}/{config['reconstruct_keyframe']['registrar']}/poses.csv"
+
+
 CALIBRATED = config["calibrated_drives"]
 for drive in CALIBRATED:
     n_keyframes(drive)

@@ -21,10 +21,9 @@ def main(
         inputs: of evaluate_labels `evaluations` and `confusions`, one per pair in `evaluated`; `histories`, per pair in `trained`; of
             evaluate_views `views`, per pair in `viewed`; of evaluate_registration `registrations` and `trajectories`, per pair in
             `registered`; of merge_frames `streets`, per pair in `merged`; per drive `grids` of evaluate_frames and `frames` of show_frames;
-            per name in `localized` `localizations` and `localization_pictures`; `reconstructions`, `detections`; `models`, per keyframe;
-            `realism` (one per name in `compared`), `densities` (one per key of `static_scans`).
-        outputs: `scores`, `report` (files), `tables`, `figures` (folders). config: the resolved one; its `run` and `seed` name the report.
-        evaluated, trained, viewed: (data set, model); registered, merged: (drive, registrar); localized: (data set, drive, labels, ...).
+            per name in `localized` `localizations`, `localization_pictures`; per drive `reconstructions`, `detections`, `calibrations`; per
+            keyframe `models`, `calibrated`, `verdicts`; `realism` (per name in `compared`), `densities` (per key of `static_scans`).
+        outputs: `scores`, `report` (files), `tables`, `figures` (folders). evaluated ... localized: names, their parts as in the paths.
         facts: of Table 1.2, by data set. realism: `simulated` data sets; names `compared`, `not_compared`; `static_scans`: mobile data set.
     """
     files = zip(inputs["evaluations"], inputs["confusions"], map(tuple, evaluated), strict=True)
@@ -34,7 +33,7 @@ def main(
     drives = registrations.read_registrations(inputs["registrations"], inputs["trajectories"], registered)
     on_maps = localizations.read_localizations(inputs["localizations"], localized)
     of_drives = registrations.registration_scores(drives, inputs["grids"]) + localizations.localization_scores(on_maps)
-    found = scores.collect_scores(evaluations, facts, of_drives + calibrations.calibration_scores(inputs))
+    found = scores.collect_scores(evaluations, facts, of_drives + calibrations.all_scores(inputs))
     printed = tables.make_tables(found)
     sheets = scores.read_named(inputs["realism"], realism["compared"])
     densities = scores.read_named(inputs["densities"], realism["static_scans"])
@@ -43,12 +42,12 @@ def main(
     streets = dict(zip(map(tuple, merged), inputs["streets"], strict=True))
     sections += registrations.draw_drives(outputs["figures"], drives, streets, inputs["frames"])
     sections += localizations.draw_localizations(outputs["figures"], on_maps, inputs["localization_pictures"])
-    sections += calibrations.draw_reconstructions(inputs["models"])
+    sections += calibrations.draw_keyframes(inputs["models"], inputs["calibrated"], inputs["verdicts"])
     labelled = list(dict.fromkeys([*map(tuple, evaluated), *views]))
     about = report.describe_run(config["run"], config["seed"], labelled, registered)
     resolved, unscored = yaml.safe_dump(dict(config), sort_keys=False, allow_unicode=True), labelled[len(evaluated) :]
     html = report.render_report(about, found, printed, sections, resolved, unscored, realism["simulated"])
-    Path(outputs["figures"]).mkdir(parents=True, exist_ok=True)  # a run without truth has no figures
+    Path(outputs["figures"]).mkdir(parents=True, exist_ok=True)
     tables.write_tables(outputs["tables"], printed)
     scores.write_named(outputs["tables"], realism=sheets, density=densities)
     scores.write_scores(outputs["scores"], found)

@@ -1,6 +1,6 @@
-"""Reconstructed keyframes in the tables and the report, beside the thesis' figures.
+"""Reconstructed and calibrated keyframes in the tables and the report, beside the thesis' figures.
 
-Source: Nagy (2020), 4.3.1 (points of Fig. 4.2, reprojection error), Figs. 4.2-4.4.
+Source: Nagy (2020), 4.3.1 (points of Fig. 4.2, reprojection error), Figs. 4.2-4.9, 4.11, 4.13, Tables 4.1 and 4.2.
 """
 
 from collections.abc import Mapping, Sequence
@@ -20,10 +20,14 @@ _PICTURES = {
     "features": "Their features", "errors": "Errors x 10",
 }  # fmt: skip
 
-
-def calibration_scores(inputs: Mapping[str, Sequence[str]]) -> list[dict]:
-    """Rows of the tidy scores of `reconstructions` (evaluate_reconstruction) and `detections` (evaluate_detections)."""
-    return reconstruction_scores(inputs["reconstructions"]) + detection_scores(inputs["detections"])
+_CALIBRATION_PICTURES = {
+    "overlay": "Projected", "overlay_before": "Projected, by objects alone", "aligned": "Aligned", "aligned_objects": "Aligned by objects",
+    "lidar_objects": "Objects of the lidar", "sfm_objects": "Objects of the images", "lidar_shapes": "Shapes of the lidar",
+    "sfm_shapes": "Shapes of the images", "curves": "Control curves",
+}  # fmt: skip
+# Stage to row of Table 4.2, which is of the slow set.
+_STEPS = {"objects_raw": "oba_raw", "objects": "oba_dynamic_filtered", "curves": "icp_nurbs", "icp": "icp", "motion": "motion"}
+_PIXELS = ("x_mean", "x_deviation", "y_mean", "y_deviation")
 
 
 def reconstruction_scores(paths: Sequence[str]) -> list[dict]:
@@ -80,3 +84,61 @@ def draw_reconstructions(models: Sequence[str]) -> list[Section]:
         if parts:
             sections.append(Section(f"reconstructed-{drive}", f"{title(drive)} from images", "", [], parts))
     return sections
+
+
+def calibration_scores(paths: Sequence[str]) -> list[dict]:
+    """Rows of the tidy scores: Tables 4.1 and 4.2, and one row per drive in the table `calibration`.
+
+    Args:
+        paths: `evaluate_calibration/<drive>/scores.csv`, one per drive.
+    """
+    rows = []
+    for path in paths:
+        drive = Path(path).parent.name
+        found = read_csv(path, ("set", "stage", "metric", "value", "unit", "n"), "evaluate_calibration").fillna({"set": "", "stage": ""})
+        for r in found.to_dict("records"):
+            figure = r["value"], r["unit"], r["n"], drive
+            if r["stage"] == "final" and r["metric"] in _PIXELS:
+                rows.append(make_score("nagy_4_1", "proposed", r["set"], r["metric"], *figure, "final"))
+                rows.append(make_score("calibration", drive, "", r["metric"], *figure, "final"))
+            elif r["stage"] == "final":
+                rows.append(make_score("calibration", drive, "", r["metric"], *figure, "final"))
+            elif r["stage"] in _STEPS and r["set"] == "slow" and r["metric"] in _PIXELS:
+                rows.append(make_score("nagy_4_2", _STEPS[r["stage"]], "", r["metric"], *figure, r["stage"]))
+            elif r["stage"] in ("", "drive"):
+                rows.append(make_score("calibration", drive, "", r["metric"], *figure, r["stage"] or "keyframes"))
+    return rows
+
+
+def draw_calibrations(folders: Sequence[str], summaries: Sequence[str]) -> list[Section]:
+    """A section per drive with the verdicts and pictures of its keyframes.
+
+    Args:
+        folders, summaries: of calibrate_keyframe, `<drive>/<keyframe>/pictures` and summary.csv, one of each per keyframe.
+    """
+    sections, keyframes = [], [Path(path).parts[-3:-1] for path in folders]
+    for drive in dict.fromkeys(d for d, _ in keyframes):
+        parts = []
+        for folder, summary, (of, keyframe) in zip(map(Path, folders), summaries, keyframes, strict=True):
+            if of != drive:
+                continue
+            row = read_csv(summary, ("status", "reason"), "calibrate_keyframe").fillna("").iloc[0]
+            verdict = f"{row.status}{f': {row.reason}' if row.reason else ''}"
+            who = f"keyframe {keyframe} of {title(drive)}"
+            files = [(name, folder / f"{kind}.png") for kind, name in _CALIBRATION_PICTURES.items() if (folder / f"{kind}.png").is_file()]
+            caption = f"{who.capitalize()} ({verdict}): points of the lidar red nearby, green far off, those of matched objects blue."
+            shown = [Gallery(f"calibrated-{drive}-{keyframe}-g", [(name, embed(path, f"{name}, {who}")) for name, path in files], caption)]
+            parts.append(Part(f"calibrated-{drive}-{keyframe}", f"Keyframe {keyframe}: {verdict}", "", shown if files else []))
+        sections.append(Section(f"calibrated-{drive}", f"Camera and lidar of {title(drive)}", "", [], parts))
+    return sections
+
+
+def draw_keyframes(models: Sequence[str], calibrated: Sequence[str], verdicts: Sequence[str]) -> list[Section]:
+    """The sections of `draw_reconstructions` and `draw_calibrations`."""
+    return draw_reconstructions(models) + draw_calibrations(calibrated, verdicts)
+
+
+def all_scores(inputs: Mapping[str, Sequence[str]]) -> list[dict]:
+    """Rows of the tidy scores of `reconstructions`, `detections` and `calibrations`, each of the step of its name."""
+    of_images = reconstruction_scores(inputs["reconstructions"]) + detection_scores(inputs["detections"])
+    return of_images + calibration_scores(inputs["calibrations"])

@@ -78,7 +78,7 @@ def estimate_scale(
     s, known = settings, np.isfinite(T_camera_sfm).all(axis=(1, 2))
     cameras, times = T_camera_sfm[known], np.asarray(image_times_s)[known]
     centres = -np.einsum("nji,nj->ni", cameras[:, :3, :3], cameras[:, :3, 3])
-    positions, rotations = _smooth(_near_poses(lidar_poses, times[0], times[-1], s.margin_s), times)
+    positions, rotations = smooth_motion(near_poses(lidar_poses, times[0], times[-1], s.margin_s), times)
     i, j = np.triu_indices(len(times), 1)
     turns = np.swapaxes(rotations[i], 1, 2) @ rotations[j]
     ways = np.einsum("nji,nj->ni", rotations[i], positions[j] - positions[i])
@@ -104,7 +104,7 @@ def estimate_scale(
     return scale
 
 
-def _near_poses(poses: list[FramePose], first_s: float, last_s: float, margin_s: float) -> list[FramePose]:
+def near_poses(poses: list[FramePose], first_s: float, last_s: float, margin_s: float) -> list[FramePose]:
     """The poses around the images, of one segment that covers them."""
     near = [p for p in poses if p.is_posed and first_s - margin_s <= p.time_s <= last_s + margin_s]
     for segment in sorted({p.segment for p in near}):
@@ -115,7 +115,7 @@ def _near_poses(poses: list[FramePose], first_s: float, last_s: float, margin_s:
     raise NoScale(f"{len(near)} frames of the lidar around the images are registered, and not as one segment that covers them")
 
 
-def _smooth(poses: list[FramePose], times_s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def smooth_motion(poses: list[FramePose], times_s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Positions (n, 3) and rotations (n, 3, 3) of the lidar at given times, by cubics in time."""
     middle = len(poses) // 2
     own = np.array([p.time_s for p in poses]) - poses[middle].time_s

@@ -1,4 +1,4 @@
-"""A tiny drive through segment_frames, register_frames and merge_frames."""
+"""A tiny drive through segment_frames, register_frames and merge_frames; a toy keyframe through calibrate_keyframe."""
 
 from dataclasses import replace
 
@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 from street_frames import drive
+from toy_calibration import calibrate_toy, toy_keyframe, write_keyframe
 from toy_drives import RegisteredDrive, write_drive
 from toy_localization import write_files
 
@@ -58,3 +59,15 @@ def detectors(tmp_path_factory) -> dict:
         save_settings(settings, files[f"{name}_files"][1])
     of_images, of_frames = {"method": "city", "settings": {}}, {"method": "street", "choice": {"min_score": 0.005}}
     return files | {"image_detector": of_images, "lidar_detector": of_frames}
+
+
+@pytest.fixture(scope="session")
+def toy_inputs(tmp_path_factory):
+    """What the steps before calibrate_keyframe write, of a toy keyframe."""
+    return write_keyframe(tmp_path_factory.mktemp("toy_keyframe"), toy_keyframe())
+
+
+@pytest.fixture(scope="session")
+def calibrated(tmp_path_factory, toy_inputs):
+    """The outputs of calibrate_keyframe for it."""
+    return calibrate_toy(tmp_path_factory.mktemp("calibrated"), toy_inputs)

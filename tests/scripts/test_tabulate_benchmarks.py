@@ -40,6 +40,9 @@ def inputs(tmp_path):
         "reconstructions": [],
         "detections": [],
         "models": [],
+        "calibrations": [],
+        "calibrated": [],
+        "verdicts": [],
         "localization_pictures": [],
     }
     for dataset, _ in EVALUATED:

@@ -7,8 +7,11 @@ import pytest
 import yaml
 from dag import HOME, snakemake
 
+from streetscan.calibration.drive_calibration import DriveCalibrationSettings
+from streetscan.calibration.keyframe_calibration import CalibrationSettings
 from streetscan.calibration.keyframes import KeyframeSettings
 from streetscan.calibration.reconstruction import ReconstructionSettings, make_reconstruction_settings
+from streetscan.localization.settings import build
 from streetscan.registration.grid_classes import GridSettings
 from streetscan.registration.merging import MergeSettings, make_merge_settings
 from streetscan.registration.odometry import OdometrySettings, make_settings
@@ -65,6 +68,8 @@ def test_settings_of_keyframes_are_the_library_s():
     config = yaml.safe_load((HOME / "config" / "default.yaml").read_text())
     assert KeyframeSettings(**config["choose_keyframes"]["settings"]) == KeyframeSettings()
     assert make_reconstruction_settings(config["reconstruct_keyframe"]["settings"]) == ReconstructionSettings()
+    assert build(CalibrationSettings, config["calibrate_keyframe"]["settings"], "calibrate_keyframe") == CalibrationSettings()
+    assert DriveCalibrationSettings(**config["calibrate_drive"]) == DriveCalibrationSettings()
 
 
 def test_scripts_are_thin():

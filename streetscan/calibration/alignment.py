@@ -1,0 +1,465 @@
+"""The lidar frame in the frame of the camera's cloud: Algorithm 1 on objects, then ICP with a scale.
+
+Source: Nagy (2020), 4.3.2.2, Algorithm 1, Eq. 4.2 (N-221 to N-225, N-230). The vote is the one localization uses (chapter 3), with object
+centres as the only keypoints.
+
+ASSUME (X-08): the turn is voted on in steps of 0.25 degrees (4.4.2), not of one degree as the loop of Algorithm 1 has it; the maximum gives
+dz too; and it is the lidar (F2) that is moved into the frame of the camera's cloud (F1), as text and figures say, so T_R = T3 T2.
+
+ASSUME: the two angles that the vote leaves out are those of the road: both clouds are laid level on it first.
+
+ASSUME: sides of boxes are compared longer with longer, since a box along the axes changes with every turn, and one voxel is added to each:
+below its size a side is noise.
+
+ASSUME: the scale of a cloud of images is known within a few percent; the vote, which is rigid, is held at a few scales.
+
+Beyond the thesis: with few objects in a camera's view the highest cell of the vote is often chance. Its best peaks, and places found by
+laying what stands in both clouds on each other seen from above, are refined in short and compared by how much of each cloud lies on the
+other where both see.
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import open3d as o3d
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
+
+from streetscan.calibration.linear_projection import View, rigid_of
+from streetscan.calibration.objects import UNSHAPED, CloudObjects, points_of_cloud
+from streetscan.geometry import apply, invert, rotation_angle, transform, transform_of_rotation
+from streetscan.localization.keypoints import ObjectSet
+from streetscan.localization.recovery import make_plane_map, search_plane
+from streetscan.localization.reference import OccupancyGrid
+from streetscan.localization.voting import Window, refine_peaks, vote
+from streetscan.registration.ndt import thin_points
+
+
+@dataclass(frozen=True)
+class IcpSettings:
+    """Similarity ICP of lidar points to the planes of the camera's cloud; lengths in metres.
+
+    Attributes:
+        reaches_m: farthest correspondence, from stage to stage.
+        n_iterations: steps at each stage.
+        thin_m: lidar points are averaged in cubes of this edge.
+        target_thin_m: points of the camera's cloud likewise.
+        normal_m: radius of the neighbourhood of a normal.
+        noise_m: of both clouds, apart from the depths.
+        noise_px: of a match between images, which makes depths the worse, the smaller the angle between the rays is.
+        scale_std: deviation of the scale of the camera's cloud from 1, which holds it where the clouds do not tell it; the lidar's motion
+            gives it to half a percent. Large for a cloud without unit.
+        max_scale: largest deviation that is accepted (N-230).
+        is_scaled: False keeps the scale of the start, as the thesis' standard ICP does.
+        min_pairs: fewer correspondences are no registration.
+    """
+
+    reaches_m: tuple[float, ...] = (0.5, 0.25, 0.15)
+    n_iterations: int = 12
+    thin_m: float = 0.1
+    target_thin_m: float = 0.05
+    normal_m: float = 0.25
+    noise_m: float = 0.02
+    noise_px: float = 0.5
+    scale_std: float = 0.01
+    max_scale: float = 0.1
+    is_scaled: bool = True
+    min_pairs: int = 200
+
+    def __post_init__(self):
+        object.__setattr__(self, "reaches_m", tuple(self.reaches_m))
+
+
+@dataclass(frozen=True)
+class AlignmentSettings:
+    """How the lidar frame is brought into the frame of the camera's cloud.
+
+    Attributes:
+        min_ratio, max_ratio: of the sides of boxes that may be one object (thesis: 0.7, 1.4).
+        window: what the vote searches, in steps of 0.25 degrees and 0.2 m: the full circle and 15 m in the thesis. ASSUME: 5 m, because
+            both frames begin at their sensors, which are on one vehicle.
+        scales: of the camera's cloud, tried one after the other.
+        n_peaks: peaks of a vote, and places of a search by points, that are compared at each scale.
+        reach_m: centres of objects that agree are this near after the vote.
+        is_searched: compare places found by points too; thesis: no.
+        cube_m: edge of the cubes in which clouds are compared.
+        n_refined: candidates that are refined in short before they are compared.
+        min_overlap: least overlap of the clouds; with less there is no match.
+        min_margin: least lead of the overlap over the next place's, as a share; with less the match is ambiguous.
+        icp: see IcpSettings.
+    """
+
+    min_ratio: float = 0.7
+    max_ratio: float = 1.4
+    window: Window = field(default_factory=lambda: Window(turn_deg=180.0, shift_m=5.0, rise_m=1.0))
+    scales: tuple[float, ...] = (0.97, 1.0, 1.03)
+    n_peaks: int = 12
+    reach_m: float = 0.8
+    is_searched: bool = True
+    cube_m: float = 0.4
+    n_refined: int = 12
+    min_overlap: float = 0.12
+    min_margin: float = 0.05
+    icp: IcpSettings = field(default_factory=IcpSettings)
+
+    def __post_init__(self):
+        object.__setattr__(self, "scales", tuple(self.scales))
+
+
+@dataclass
+class Alignment:
+    """Where the lidar frame lies in the camera's cloud.
+
+    Attributes:
+        T_sfm_lidar: (4, 4) similarity.
+        source: `objects` (the vote) or `points`.
+        votes: of the peak's cell and its neighbours; 0 for a place found by points.
+        n_pairs: objects that agree, likewise.
+        overlap: how much of each cloud lies on the other, 0 to 1; NaN before it is measured.
+        margin: lead over the next place, as a share; 1 without another.
+    """
+
+    T_sfm_lidar: np.ndarray
+    source: str
+    votes: int = 0
+    n_pairs: int = 0
+    overlap: float = np.nan
+    margin: float = 1.0
+
+
+def find_compatible(lidar: CloudObjects, sfm: CloudObjects, scale: float, s: AlignmentSettings) -> np.ndarray:
+    """Pairs (P, 2) int64 of lidar and camera object that may be the same: alike boxes and one shape category (N-222).
+
+    Args:
+        lidar, sfm: objects of the two clouds.
+        scale: the camera's boxes are multiplied by it.
+        s: `min_ratio` and `max_ratio`.
+    """
+    own, theirs = (
+        np.concatenate([np.sort(o.sizes_m[:, :2], axis=1), o.sizes_m[:, 2:]], axis=1) * k + lidar.voxel_m
+        for o, k in ((lidar.objects, 1.0), (sfm.objects, scale))
+    )
+    ratios = theirs[None] / own[:, None]
+    is_alike = ((ratios >= s.min_ratio) & (ratios <= s.max_ratio)).all(axis=2)
+    is_one_shape = lidar.shapes[:, None] == sfm.shapes[None]
+    # A shape that is not known speaks for and against nothing.
+    is_one_shape |= (lidar.shapes[:, None] == UNSHAPED) | (sfm.shapes[None] == UNSHAPED)
+    return np.argwhere(is_alike & is_one_shape)
+
+
+def vote_alignments(lidar: CloudObjects, sfm: CloudObjects, settings: AlignmentSettings) -> list[Alignment]:
+    """Algorithm 1: alignments the objects of both clouds agree on, most votes first; their overlap is not measured yet.
+
+    Args:
+        lidar, sfm: objects of the two clouds.
+        settings: see AlignmentSettings.
+    """
+    s, found = settings, []
+    for scale in s.scales:
+        pairs = find_compatible(lidar, sfm, scale, s)
+        scaled = _scaled(sfm.objects, scale)
+        peaks = vote(lidar.objects, scaled, pairs, 1, s.window, s.n_peaks)
+        for peak in refine_peaks(peaks, lidar.objects, scaled, pairs, 1, s.reach_m):
+            T_level_level = _similarity(1 / scale) @ transform(peak.shift_m, (0, 0, peak.turn_rad))
+            found.append(Alignment(_between(lidar, sfm, T_level_level), "objects", peak.votes, len(peak.pairs)))
+    return sorted(found, key=lambda a: -a.votes)
+
+
+def search_alignments(lidar: CloudObjects, sfm: CloudObjects, settings: AlignmentSettings) -> list[Alignment]:
+    """Alignments under which what stands in the camera's cloud, seen from above, lies on what stands around the lidar."""
+    s = settings
+    plane_map = make_plane_map(lidar.points, lidar.heights_m)
+    standing = standing_points(sfm)
+    if plane_map is None or len(standing) == 0:
+        return []
+    found = []
+    for scale in s.scales:
+        for shift, turn, _ in search_plane(plane_map, standing * scale, np.zeros(2), 0.0, s.window, s.n_peaks):
+            T_lidar_sfm = transform((*shift, 0.0), (0, 0, turn)) @ _similarity(scale)
+            found.append(Alignment(_between(lidar, sfm, invert(T_lidar_sfm)), "points"))
+    return found
+
+
+def align_clouds(
+    lidar: CloudObjects, sfm: CloudObjects, target: "PlaneTarget", view: View, settings: AlignmentSettings
+) -> Alignment | None:
+    """The place where most of both clouds lies on the other; None when there is none at all.
+
+    Args:
+        lidar, sfm: objects of the two clouds.
+        target: the camera's cloud for ICP.
+        view: the image, which tells what of the lidar's points the camera's cloud could hold.
+        settings: see AlignmentSettings.
+    """
+    s = settings
+    candidates = vote_alignments(lidar, sfm, s)
+    if s.is_searched:
+        candidates += search_alignments(lidar, sfm, s)
+    comparison = _Comparison(lidar, sfm, view, s.cube_m)
+    for c in candidates:
+        c.overlap = comparison.overlap(c.T_sfm_lidar)
+    chosen: list[Alignment] = []
+    for c in sorted(candidates, key=lambda c: -c.overlap):
+        if len(chosen) < s.n_refined and all(_is_apart(c, other, 0.4, np.radians(1.5)) for other in chosen):
+            chosen.append(c)
+    points, comparison = points_of_cloud(lidar), _Comparison(lidar, sfm, view, s.cube_m / 2)
+    for c in chosen:
+        c.T_sfm_lidar = refine_alignment(points, target, c.T_sfm_lidar, _SHORT).T_sfm_lidar
+        c.overlap = comparison.overlap(c.T_sfm_lidar)
+    chosen.sort(key=lambda c: -c.overlap)
+    if chosen:
+        others = [c.overlap for c in chosen[1:] if _is_apart(c, chosen[0], 1.0, np.radians(3.0))]
+        chosen[0].margin = 1 - others[0] / chosen[0].overlap if others and chosen[0].overlap > 0 else 1.0
+    return chosen[0] if chosen else None
+
+
+class _Comparison:
+    """How much of each cloud lies on the other."""
+
+    def __init__(self, lidar: CloudObjects, sfm: CloudObjects, view: View, cube_m: float):
+        self._lidar, self._sfm = lidar, sfm
+        self._standing = [thin_points(standing_points(c), cube_m / 2) for c in (lidar, sfm)]
+        self._grids = [OccupancyGrid(points, cube_m) for points in self._standing]
+        self._lidar_points, self._view = apply(invert(lidar.T_level_cloud), self._standing[0]), view
+
+    def overlap(self, T_sfm_lidar: np.ndarray) -> float:
+        """The geometric mean of two shares: of the camera's standing points on the lidar's, and of the lidar's in view on the camera's."""
+        T = self._sfm.T_level_cloud @ T_sfm_lidar @ invert(self._lidar.T_level_cloud)
+        seen = self._standing[0][self._view.sees(apply(T_sfm_lidar, self._lidar_points))]
+        shares = self._grids[0].overlap(self._standing[1], invert(T)), self._grids[1].overlap(seen, T)
+        return float(np.sqrt(np.prod(np.nan_to_num(shares))))
+
+
+def _is_apart(a: Alignment, b: Alignment, shift_m: float, turn_rad: float) -> bool:
+    """Whether two places differ by more than a shift or a turn."""
+    change = rigid_of(invert(b.T_sfm_lidar) @ a.T_sfm_lidar)
+    return bool(np.linalg.norm(change[:3, 3]) > shift_m or rotation_angle(change) > turn_rad)
+
+
+# The refinement before candidates are compared.
+_SHORT = IcpSettings(reaches_m=(0.8, 0.4), n_iterations=6, thin_m=0.3, min_pairs=50)
+
+
+def standing_points(cloud: CloudObjects, low_m: float = 0.5, high_m: float = 3.0) -> np.ndarray:
+    """(N, 3) points of a level cloud between two heights above its ground."""
+    return cloud.points[(cloud.heights_m > low_m) & (cloud.heights_m < high_m)]
+
+
+@dataclass
+class PlaneTarget:
+    """The camera's cloud prepared for ICP.
+
+    Attributes:
+        points, normals: (N, 3) float64, frame `sfm`.
+        noise_m: (N,) expected error of each point.
+        tree: of the points.
+    """
+
+    points: np.ndarray
+    normals: np.ndarray
+    noise_m: np.ndarray
+    tree: cKDTree
+
+
+def prepare_target(points_sfm: np.ndarray, cameras_sfm: np.ndarray, focal_px: float, settings: IcpSettings = IcpSettings()) -> PlaneTarget:
+    """The camera's cloud with normals, and what each of its planes is worth.
+
+    Args:
+        points_sfm: (N, 3) static points, about metric.
+        cameras_sfm: (n, 3) where the cameras stood; the first is the one that counts.
+        focal_px: focal length of the images.
+        settings: see IcpSettings.
+
+    A depth from images is wrong along the ray, by `noise_px` over the parallax; a plane the ray grazes hardly moves by it.
+    """
+    s = settings
+    thinned = thin_points(points_sfm, s.target_thin_m)
+    cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(thinned))
+    cloud.estimate_normals(o3d.geometry.KDTreeSearchParamHybrid(radius=s.normal_m, max_nn=40))
+    normals = np.asarray(cloud.normals)
+    rays = thinned[:, None] - cameras_sfm
+    distances = np.linalg.norm(rays, axis=2)
+    rays /= np.maximum(distances, 1e-6)[:, :, None]
+    parallax = np.arccos(np.clip(np.einsum("ijk,ik->ij", rays, rays[:, 0]), -1, 1)).max(axis=1)
+    depth_noise = distances[:, 0] * s.noise_px / focal_px / np.maximum(parallax, 1e-4)
+    noise = np.hypot(s.noise_m, depth_noise * np.abs(np.einsum("ij,ij->i", normals, rays[:, 0])))
+    return PlaneTarget(thinned, normals, noise, cKDTree(thinned))
+
+
+@dataclass
+class Registration:
+    """Outcome of ICP.
+
+    Attributes:
+        T_sfm_lidar: (4, 4) similarity.
+        n_pairs: correspondences of the last step.
+        rmse_m: weighted root mean square of their distances from the planes.
+        is_converged: the last steps moved nothing, the scale stayed within its bounds, and there were enough correspondences.
+    """
+
+    T_sfm_lidar: np.ndarray
+    n_pairs: int
+    rmse_m: float
+    is_converged: bool
+
+
+def refine_alignment(
+    points_lidar: np.ndarray, target: PlaneTarget, T_sfm_lidar: np.ndarray, settings: IcpSettings = IcpSettings()
+) -> Registration:
+    """Similarity ICP from points to planes, robust and weighted by what a depth from images is worth (T_3, N-225).
+
+    Args:
+        points_lidar: (N, 3) static points, metres, frame `lidar`.
+        target: of `prepare_target`.
+        T_sfm_lidar: (4, 4) the start.
+        settings: see IcpSettings.
+
+    ASSUME: point to plane, where the thesis says standard ICP: rings of a lidar matched point to point pull towards the places between
+    the rings, and with a free scale towards a smaller cloud. Our own lines, because the libraries' variants with a scale have no planes.
+    """
+    s, T = settings, np.array(T_sfm_lidar, np.float64)
+    source = thin_points(points_lidar, s.thin_m)
+    n, rmse, last_step = 0, np.nan, np.inf
+    for reach in s.reaches_m:
+        near = source
+        for _ in range(s.n_iterations):
+            moved = apply(T, near)
+            distances, rows = target.tree.query(moved, distance_upper_bound=reach)
+            is_found = np.isfinite(distances)
+            n = int(is_found.sum())
+            if n < s.min_pairs:
+                return Registration(T, n, np.nan, False)
+            moved, rows = moved[is_found], rows[is_found]
+            errors = np.einsum("ij,ij->i", moved - target.points[rows], target.normals[rows])
+            weights = _weights(errors, target.noise_m[rows])
+            rmse = float(np.sqrt((weights * errors**2).sum() / weights.sum()))
+            step = _solve(moved, target.normals[rows], errors, weights, scale_of(T) if s.is_scaled else None, s.scale_std)
+            T = step @ T
+            change = np.abs(apply(step, moved) - moved).max()
+            last_step = change
+            if change < 1e-4:
+                break
+    is_bounded = abs(scale_of(T) - 1) <= s.max_scale
+    return Registration(T, n, rmse, bool(is_bounded and last_step < 0.02))
+
+
+def _weights(errors: np.ndarray, noise_m: np.ndarray) -> np.ndarray:
+    """Of the squares of the errors: by the noise, and by Geman and McClure's kernel for what is no counterpart."""
+    scaled = errors / noise_m
+    spread = max(1.4826 * float(np.median(np.abs(scaled))), 1.0)
+    return 1 / noise_m**2 / (1 + (scaled / (2 * spread)) ** 2) ** 2
+
+
+# ASSUME: neighbouring points share their errors, so a correspondence counts as one of so many.
+_CORRELATED = 60.0
+
+
+def _solve(moved, normals, errors, weights, scale: float | None, scale_std: float) -> np.ndarray:
+    """The small similarity (4, 4) that brings the weighted points onto the planes in the least-squares sense.
+
+    `scale` is the present one, which is drawn towards 1; None keeps it.
+    """
+    centre = moved.mean(axis=0)
+    arms = moved - centre
+    J = np.concatenate([np.cross(arms, normals), normals, np.einsum("ij,ij->i", arms, normals)[:, None]], axis=1)
+    J = J if scale is not None else J[:, :6]
+    H, b = (J * weights[:, None]).T @ J / _CORRELATED, (J * weights[:, None]).T @ errors / _CORRELATED
+    # What the planes do not hold stays where it is.
+    H += 1e-6 * np.diag(np.diag(H)) + 1e-9 * np.trace(H) * np.eye(len(H))
+    if scale is not None:
+        H[6, 6] += (scale / scale_std) ** 2
+        b[6] += scale * (scale - 1) / scale_std**2
+    x = np.linalg.solve(H, -b)
+    step = transform_of_rotation(Rotation.from_rotvec(x[:3]).as_matrix() * (1 + (x[6] if scale is not None else 0.0)))
+    step[:3, 3] = centre + x[3:6] - step[:3, :3] @ centre
+    return step
+
+
+def scale_of(T: np.ndarray) -> float:
+    """The scale of a similarity (4, 4)."""
+    return float(np.cbrt(np.linalg.det(T[:3, :3])))
+
+
+def _similarity(scale: float) -> np.ndarray:
+    return np.diag([scale, scale, scale, 1.0])
+
+
+def _scaled(objects: ObjectSet, scale: float) -> ObjectSet:
+    """Objects of a cloud multiplied by a scale about the origin."""
+    lengths = {name: getattr(objects, name) * scale for name in ("centres", "sizes_m", "corners", "parts")}
+    return ObjectSet(objects.n_points, yaws_rad=objects.yaws_rad, **lengths)
+
+
+def _between(lidar: CloudObjects, sfm: CloudObjects, T_level_level: np.ndarray) -> np.ndarray:
+    """T_sfm_lidar of an alignment of the two level frames."""
+    return invert(sfm.T_level_cloud) @ T_level_level @ lidar.T_level_cloud
+
+
+@dataclass
+class ControlPoints:
+    """Objects of the lidar and where the camera's cloud has them.
+
+    Attributes:
+        objects: (C,) int64 numbers of the lidar's objects.
+        lidar: (C, 3) their centroids, moved into the frame `sfm`.
+        sfm: (C, 3) the centroids of their counterparts.
+        weights: (C,) points that have a counterpart.
+    """
+
+    objects: np.ndarray
+    lidar: np.ndarray
+    sfm: np.ndarray
+    weights: np.ndarray
+
+
+def match_objects(
+    lidar: CloudObjects, target: PlaneTarget, T_sfm_lidar: np.ndarray, reach_m: float = 0.4, min_share: float = 0.6, prior_m: float = 0.1
+) -> ControlPoints:
+    """The lidar's objects that stand in the camera's cloud too, and the shift of each from the one to the other.
+
+    ASSUME: after T_R it is the place that tells which objects are the same, box and shape no longer; and a counterpart's centroid is that
+    of the lidar's object, laid on the camera's points by a shift of its own. The plain centroids of two blobs, of which each sensor
+    sees another part, differ by more than the distortion that is looked for.
+
+    Args:
+        lidar: objects of the lidar.
+        target: the camera's cloud.
+        T_sfm_lidar: (4, 4) after ICP.
+        reach_m: farthest correspondence.
+        min_share: least share of an object's points that have one.
+        prior_m: expected size of the shifts; a direction no plane holds does not move.
+    """
+    to_lidar, rows = invert(lidar.T_level_cloud), []
+    for m in range(len(lidar)):
+        moved = apply(T_sfm_lidar @ to_lidar, lidar.members[lidar.starts[m] : lidar.starts[m + 1]])
+        distances, nearest = target.tree.query(moved, distance_upper_bound=reach_m)
+        is_found = np.isfinite(distances)
+        if is_found.sum() < 5 or is_found.mean() < min_share:
+            continue
+        moved, nearest = moved[is_found], nearest[is_found]
+        centre = moved.mean(axis=0)
+        rows.append(
+            (
+                m,
+                centre,
+                centre + _fit_shift(moved, target.points[nearest], target.normals[nearest], target.noise_m[nearest], prior_m),
+                len(moved),
+            )
+        )
+    numbers, own, theirs, weights = zip(*rows, strict=True) if rows else ([], [], [], [])
+    return ControlPoints(np.array(numbers, np.int64), np.reshape(own, (-1, 3)), np.reshape(theirs, (-1, 3)), np.array(weights, float))
+
+
+def _fit_shift(points, counterparts, normals, noise_m, prior_m: float) -> np.ndarray:
+    """The shift (3,) that lays points on planes, each object's points counting as few, since they share their error."""
+    shift = np.zeros(3)
+    for _ in range(4):
+        errors = np.einsum("ij,ij->i", points + shift - counterparts, normals)
+        weights = _weights(errors, noise_m) * min(1.0, _INDEPENDENT / len(points))
+        H = (normals * weights[:, None]).T @ normals + np.eye(3) / prior_m**2
+        shift = shift - np.linalg.solve(H, (normals * weights[:, None]).T @ errors + shift / prior_m**2)
+    return shift
+
+
+# Of an object's points so many are taken to be independent.
+_INDEPENDENT = 10.0

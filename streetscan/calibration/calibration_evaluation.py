@@ -1,0 +1,193 @@
+"""Calibrations against truth: pixel errors of projected lidar points, and errors of the transform.
+
+Source: Nagy (2020), 4.4.1, Tables 4.1 and 4.2 (N-235 to N-239).
+
+The true pixel of a lidar point is where the camera, at the image's time, sees the surface point that was hit: known for what stands still
+in a simulated drive. A real recording has no such truth; there only transforms are compared, where its file gives extrinsics.
+
+ASSUME: the thesis picks ten corner-like points of a keyframe by hand; ours are ten depth edges of what stands still, spread over the image.
+ASSUME: its average and deviation are those of the absolute errors along an axis.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from streetscan.calibration.linear_projection import project_linear
+from streetscan.calibration.projection import choose_spread, project_pinhole
+from streetscan.calibration.quality import depth_edges
+from streetscan.calibration.reconstruction_evaluation import true_camera_poses
+from streetscan.frames import LidarFrame
+from streetscan.geometry import apply, interpolate_poses, invert, rotation_angle
+from streetscan.io.arrays import load_npy
+from streetscan.io.files import find_file, read_yaml
+from streetscan.io.trajectories import read_tum
+
+# The thesis' slow set ends at this speed.
+SLOW_KMH = 30.0
+N_FEATURES = 10
+# Things faster than this move; their points have no place in the image that truth tells.
+_MOVING_MPS = 0.1
+COLUMNS = (
+    "keyframe", "status", "stage", "speed_kmh", "x_px", "x_deviation_px", "y_px", "y_deviation_px", "all_x_px", "all_x_deviation_px",
+    "all_y_px", "all_y_deviation_px", "n_points",
+)  # fmt: skip
+TRANSFORM_COLUMNS = ("keyframe", "status", "rotation_deg", "translation_m", "forward_m", "offset_error_s", "sigma_m", "sigma_deg")
+
+
+@dataclass
+class TruePixels:
+    """Where static lidar points of a keyframe are in its image.
+
+    Attributes:
+        points: (N, 3) raw points, frame `lidar`.
+        pixels: (N, 2) in the rectified image.
+        features: (F,) int64 rows of the feature points.
+        speed_kmh: of the vehicle.
+    """
+
+    points: np.ndarray
+    pixels: np.ndarray
+    features: np.ndarray
+    speed_kmh: float
+
+
+def has_true_pixels(truth_folder: str | Path) -> bool:
+    """Whether the truth of a drive tells the place of every point: a simulated one does."""
+    return (Path(truth_folder) / "trajectory.tum").is_file()
+
+
+def find_true_pixels(frame: LidarFrame, number: int, image_time_ns: int, truth_folder: str | Path, camera: dict) -> TruePixels:
+    """True pixels of a frame's static points that lie in the image.
+
+    Args:
+        frame: as recorded.
+        number: of the frame in the drive.
+        image_time_ns: stamp of the image.
+        truth_folder: truth/ of a simulated drive.
+        camera: `camera_matrix`, `image_width` and `image_height` of the rectified image.
+    Raises:
+        BadInput: a file of the truth is missing.
+    """
+    folder = Path(truth_folder)
+    times_s, vehicle = read_tum(find_file(folder / "trajectory.tum"))
+    T_vehicle_lidar = np.array(read_yaml(folder / "truth.yaml")["mountings"]["T_vehicle_lidar"])
+    stamp_s = frame.time_ns / 1e9
+    # Firings of ten microseconds share a pose.
+    steps, step_of = np.unique(np.round(frame.time_offset_s.astype(np.float64) * 1e5).astype(np.int64), return_inverse=True)
+    poses = interpolate_poses(stamp_s + steps * 1e-5, times_s, vehicle) @ T_vehicle_lidar
+    in_map = apply(poses[step_of.reshape(-1)], frame.points)
+    T_map_camera = true_camera_poses(folder, np.array([image_time_ns]))[0]
+    pixels = project_pinhole(in_map, np.array(camera["camera_matrix"]), invert(T_map_camera))
+    with np.errstate(invalid="ignore"):
+        seen = ((pixels >= 0) & (pixels <= [camera["image_width"] - 1, camera["image_height"] - 1])).all(axis=1)
+    seen &= _is_still(folder, number)
+    points = frame.points[seen].astype(np.float64)
+    edges = _rows_of(depth_edges(frame.points), frame.points)[seen]
+    candidates = np.flatnonzero(edges)
+    features = candidates[choose_spread(pixels[seen][candidates], N_FEATURES)] if len(candidates) else candidates
+    a, b = interpolate_poses(np.array([stamp_s - 0.05, stamp_s + 0.05]), times_s, vehicle)
+    return TruePixels(points, pixels[seen], features, float(np.linalg.norm(b[:3, 3] - a[:3, 3]) / 0.1 * 3.6))
+
+
+def _is_still(folder: Path, number: int) -> np.ndarray:
+    """(N,) bool: points of a frame on nothing that moves just then."""
+    objects = pd.read_csv(find_file(folder / "objects.csv"))
+    moving = objects[(objects["frame"] == number) & (objects["speed_mps"] > _MOVING_MPS)]["instance"]
+    return ~np.isin(load_npy(folder / "instances" / f"{number:06d}.npy", "simulate_drive"), moving.to_numpy())
+
+
+def _rows_of(chosen: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """(N,) bool: which points are among the chosen ones."""
+    keys = np.ascontiguousarray(points).view([("", points.dtype)] * 3).ravel()
+    return np.isin(keys, np.ascontiguousarray(chosen.astype(points.dtype)).view([("", points.dtype)] * 3).ravel())
+
+
+def score_keyframe(calibration: dict, keyframe: int, truth: TruePixels | None) -> list[dict]:
+    """A row of COLUMNS for each stage of a keyframe and for its final projection (`final`); one without numbers where there is none."""
+    stages = {name: np.array(P) for name, P in calibration["stages"].items()}
+    if calibration["projection"] is not None:
+        stages["final"] = np.array(calibration["projection"])
+    rows = []
+    for stage, projection in (stages or {"final": None}).items():
+        row = dict.fromkeys(COLUMNS, np.nan) | {
+            "keyframe": f"{keyframe:02d}",
+            "status": calibration["status"],
+            "stage": stage,
+            "n_points": 0,
+        }
+        if truth is not None:
+            row["speed_kmh"] = truth.speed_kmh
+        if truth is not None and projection is not None:
+            errors = np.abs(project_linear(projection, truth.points) - truth.pixels)
+            for prefix, own in (("", errors[truth.features]), ("all_", errors)):
+                for axis, name in enumerate("xy"):
+                    # A point that comes to lie behind the camera has no error one could average: the keyframe then has none.
+                    row |= {f"{prefix}{name}_px": float(own[:, axis].mean()), f"{prefix}{name}_deviation_px": float(own[:, axis].std())}
+            row["n_points"] = len(errors)
+        rows.append(row)
+    return rows
+
+
+def score_transform(
+    name: str, status: str, T: list | None, extrinsics: dict, offset_s: float | None = None, std: dict | None = None
+) -> dict:
+    """A row of TRANSFORM_COLUMNS: a found T_camera_lidar against the true one.
+
+    Args:
+        name: the keyframe, or `drive`.
+        status: its status.
+        T: 4 x 4, or None.
+        extrinsics: of the truth.
+        offset_s: found time offset, or None.
+        std: `x_y_z_m` and `turn_deg`, or None.
+    """
+    row = dict.fromkeys(TRANSFORM_COLUMNS, np.nan) | {"keyframe": name, "status": status}
+    if T is not None:
+        true, found = np.array(extrinsics["T_camera_lidar"]), np.array(T)
+        shift = found[:3, 3] - true[:3, 3]
+        row |= {"rotation_deg": float(np.degrees(rotation_angle(invert(true) @ found))), "translation_m": float(np.linalg.norm(shift))}
+        row["forward_m"] = float(shift[2])
+    if offset_s is not None and "time_offset_s" in extrinsics:
+        row["offset_error_s"] = offset_s - extrinsics["time_offset_s"]
+    if std is not None:
+        row |= {"sigma_m": float(np.linalg.norm(std["x_y_z_m"])), "sigma_deg": float(np.linalg.norm(std["turn_deg"]))}
+    return row
+
+
+def summarize_errors(errors: pd.DataFrame, transforms: pd.DataFrame) -> pd.DataFrame:
+    """`set`, `stage`, `metric`, `value`, `unit`, `n` of a drive.
+
+    Args:
+        errors: rows of `score_keyframe`.
+        transforms: rows of `score_transform`, that of the drive named `drive`.
+    Returns:
+        the share of accepted keyframes, their mean pixel errors by speed and stage, and the errors of the drive's transform.
+    """
+    rows = []
+    finals = errors.drop_duplicates("keyframe")
+    n = len(finals)
+    rows.append(("", "", "accepted", 100 * float((finals["status"] == "ok").mean()) if n else np.nan, "%", n))
+    is_ok = errors["status"] == "ok"
+    for name, chosen in (("slow", errors["speed_kmh"] <= SLOW_KMH), ("fast", errors["speed_kmh"] > SLOW_KMH)):
+        for stage in dict.fromkeys(errors["stage"]):
+            own = errors[is_ok & chosen & (errors["stage"] == stage)].dropna(subset="x_px")
+            if len(own) == 0:
+                continue
+            for prefix in ("", "all_"):
+                for axis in "xy":
+                    value, deviation = own[f"{prefix}{axis}_px"].mean(), own[f"{prefix}{axis}_deviation_px"].mean()
+                    rows.append((name, stage, f"{prefix}{axis}_mean", float(value), "px", len(own)))
+                    rows.append((name, stage, f"{prefix}{axis}_deviation", float(deviation), "px", len(own)))
+    for row in transforms[transforms["keyframe"] == "drive"].to_dict("records"):
+        for metric, unit in (
+            ("rotation_deg", "deg"),
+            ("translation_m", "m"),
+            ("sigma_deg", "deg"),
+            ("sigma_m", "m"),
+            ("offset_error_s", "s"),
+        ):
+            rows.append(("", "drive", metric.rsplit("_", 1)[0], row[metric], unit, int((finals["status"] == "ok").sum())))
+    return pd.DataFrame(rows, columns=["set", "stage", "metric", "value", "unit", "n"])

@@ -1,0 +1,112 @@
+"""Pictures of a calibrated keyframe as the thesis shows them: Figs. 4.5-4.9, 4.11 and 4.13."""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from streetscan.benchmarks.rendering import View, render_cloud
+from streetscan.calibration.keyframe_calibration import KeyframeCalibration, KeyframeClouds
+from streetscan.calibration.linear_projection import project_linear
+from streetscan.calibration.objects import FLAT, LINEAR, SCATTERED, UNSHAPED, CloudObjects
+from streetscan.geometry import apply, invert
+from streetscan.registration.frame_pictures import write_picture
+
+_SHAPE_COLOURS = np.zeros((4, 3), np.uint8)
+_SHAPE_COLOURS[[LINEAR, FLAT, SCATTERED, UNSHAPED]] = [(220, 40, 40), (40, 90, 220), (40, 160, 60), (170, 170, 170)]
+_LIDAR, _CAMERA, _OBJECT = (240, 130, 20), (70, 70, 70), (40, 80, 255)
+_PALETTE = np.array(
+    [(0, 114, 178), (230, 159, 0), (0, 158, 115), (204, 121, 167), (86, 180, 233), (213, 94, 0), (148, 103, 189), (140, 86, 75)], np.uint8
+)
+_SIZE = 1200, 750
+
+
+def write_pictures(folder: Path, made: KeyframeCalibration, clouds: KeyframeClouds) -> None:
+    """Write what was made of a keyframe into an existing folder.
+
+    `lidar_objects.png`, `sfm_objects.png` (Fig. 4.5e), `lidar_shapes.png`, `sfm_shapes.png` (Fig. 4.5c), `aligned_objects.png`,
+    `aligned.png` (Figs. 4.6, 4.8: lidar orange, camera's cloud grey), `curves.png` (Fig. 4.9), `overlay.png` (Fig. 4.11: points by
+    distance, objects blue) and `overlay_before.png` (the calibration in force, or the coarse alignment without one).
+    """
+    pictures = {}
+    for name in ("lidar", "sfm"):
+        if (cloud := getattr(made, name)) is not None:
+            pictures |= {f"{name}_objects": _draw_objects(cloud), f"{name}_shapes": _draw_shapes(cloud)}
+    if made.alignment is not None:
+        pictures["aligned_objects"] = _draw_aligned(made, made.alignment.T_sfm_lidar)
+        if "objects" in made.stages:
+            pictures["overlay_before"] = _overlay(made, clouds, made.stages["objects"])
+    if made.T_camera_stamp is not None:
+        T_sfm_stamp = invert(clouds.view.T_camera_sfm) @ made.T_camera_stamp
+        pictures["aligned"] = _draw_aligned(made, T_sfm_stamp)
+    if made.projection is not None:
+        pictures["overlay"] = _overlay(made, clouds, made.projection)
+    if made.curves is not None:
+        pictures["curves"] = _draw_curves(made)
+    for name, picture in pictures.items():
+        write_picture(folder / f"{name}.png", picture)
+
+
+# From behind and above the sensor, in a level frame with x forward.
+_BEHIND = View((-12.0, 0.0, 12.0), (14.0, 0.0, 0.0), *_SIZE)
+_ABOVE = View((14.0, 0.0, 45.0), (17.0, 0.0, 0.0), *_SIZE)
+
+
+def _draw_objects(cloud: CloudObjects) -> np.ndarray:
+    """Objects in colours of their own, all else that stands dark, ground light."""
+    number = np.repeat(np.arange(len(cloud)), np.diff(cloud.starts))
+    rest = np.where((cloud.heights_m > 0.2)[:, None], 120, 215).repeat(3, axis=1)
+    points, colours = np.concatenate([cloud.members, cloud.points]), np.concatenate([_PALETTE[number % len(_PALETTE)], rest])
+    return render_cloud(points, colours.astype(np.uint8), _BEHIND, 0.06, background=(250, 250, 250))
+
+
+def _draw_shapes(cloud: CloudObjects) -> np.ndarray:
+    """Voxels by category: linear red, flat blue, scattered green."""
+    voxel_m = cloud.voxel_m
+    return render_cloud((cloud.voxels + 0.5) * voxel_m, _SHAPE_COLOURS[cloud.voxel_shapes], _BEHIND, voxel_m, background=(250, 250, 250))
+
+
+def _draw_aligned(made: KeyframeCalibration, T_sfm_lidar: np.ndarray) -> np.ndarray:
+    """What stands in both clouds: lidar orange, camera's cloud grey."""
+    lidar, sfm = made.lidar, made.sfm
+    own = lidar.points[(lidar.heights_m > 0.3) & (lidar.heights_m < 4.0)]
+    theirs = sfm.points[(sfm.heights_m > 0.3) & (sfm.heights_m < 4.0)]
+    moved = apply(sfm.T_level_cloud @ T_sfm_lidar @ invert(lidar.T_level_cloud), own)
+    colours = np.concatenate([np.tile(_LIDAR, (len(own), 1)), np.tile(_CAMERA, (len(theirs), 1))]).astype(np.uint8)
+    return render_cloud(np.concatenate([moved, theirs]), colours, _ABOVE, 0.1, background=(250, 250, 250))
+
+
+def _draw_curves(made: KeyframeCalibration) -> np.ndarray:
+    """Control points red, the lidar's curve orange, the camera's blue, over what stands; shifts ten times as long as they are."""
+    curves, sfm = made.curves, made.sfm
+    standing = sfm.points[(sfm.heights_m > 0.3) & (sfm.heights_m < 4.0)]
+    own = apply(sfm.T_level_cloud, curves.bins_lidar)
+    theirs = own + 10 * (apply(sfm.T_level_cloud, curves.bins_sfm) - own)
+    control = apply(sfm.T_level_cloud, curves.control_lidar)
+    parts = [(np.repeat(control, 8, axis=0) + np.random.default_rng(0).normal(0, 0.15, (8 * len(control), 3)), (220, 30, 30))]
+    parts += [(own, _LIDAR), (theirs, _OBJECT), (standing, (190, 190, 190))]
+    colours = np.concatenate([np.tile(colour, (len(points), 1)) for points, colour in parts]).astype(np.uint8)
+    return render_cloud(np.concatenate([points for points, _ in parts]), colours, _ABOVE, 0.12, background=(250, 250, 250))
+
+
+def _overlay(made: KeyframeCalibration, clouds: KeyframeClouds, projection: np.ndarray) -> np.ndarray:
+    """The image with the frame's points: near ones red, far ones green, those of matched objects blue (Fig. 4.11)."""
+    picture = clouds.image // 2 + 40
+    points = clouds.points_lidar[::2]
+    pixels = project_linear(projection, points)
+    depth = np.linalg.norm(points, axis=1)
+    hues = (60 * np.clip(depth / 40, 0, 1)).astype(np.uint8)
+    colours = cv2.cvtColor(np.stack([hues, np.full_like(hues, 230), np.full_like(hues, 240)], axis=1)[None], cv2.COLOR_HSV2RGB)[0]
+    _dots(picture, pixels, colours, clouds)
+    if made.control is not None and len(made.control.objects):
+        members = np.concatenate([made.lidar.points_of(m) for m in made.control.objects])
+        own = project_linear(projection, apply(invert(made.lidar.T_level_cloud), members))
+        _dots(picture, own, np.tile(np.array(_OBJECT, np.uint8), (len(own), 1)), clouds)
+    return picture
+
+
+def _dots(picture: np.ndarray, pixels: np.ndarray, colours: np.ndarray, clouds: KeyframeClouds) -> None:
+    inside = clouds.view.contains(pixels)
+    u, v = np.rint(pixels[inside]).astype(int).T
+    for du, dv in ((0, 0), (1, 0), (0, 1), (1, 1)):
+        picture[np.minimum(v + dv, picture.shape[0] - 1), np.minimum(u + du, picture.shape[1] - 1)] = colours[inside]

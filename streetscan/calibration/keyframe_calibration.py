@@ -1,0 +1,366 @@
+"""Camera and lidar calibrated at one keyframe: objects, Algorithm 1, ICP, control curves, projection, and a verdict.
+
+Source: Nagy (2020), 4.3.2 to 4.3.4, 4.4.2, Fig. 4.10.
+
+Two results. `projection` is for the raw frame: one 3x4 matrix from its points to the image, which holds what the vehicle moved between the
+lidar's stamp and the image's. `T_camera_lidar` is rigid, of the sensors on the vehicle: the frame is freed of its motion first, and the
+motion between the stamps is taken out.
+
+Both sensors see the vehicle move: the direction in either cloud tells the turn about the vertical within some degrees (`motion_turn_deg`),
+so the full circle of Algorithm 1 is searched only where the lidar's motion is not known.
+
+ASSUME: `projection` is fitted to points freed of motion and aligned by ICP, where motion and firing times are known (`final`: motion). The
+thesis' own chain, T1 T* T_R on the raw frame's object centroids, is the stage `curves`, and is what is left without motion.
+"""
+
+import time
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from streetscan.calibration.alignment import (
+    Alignment,
+    AlignmentSettings,
+    ControlPoints,
+    PlaneTarget,
+    align_clouds,
+    match_objects,
+    prepare_target,
+    refine_alignment,
+    scale_of,
+)
+from streetscan.calibration.control_curves import ControlCurves, fit_curves
+from streetscan.calibration.linear_projection import LinearProjection, View, camera_of, fit_projection, linear_of
+from streetscan.calibration.motion import LidarMotion
+from streetscan.calibration.objects import CloudObjects, ObjectSettings, count_columns, find_level, find_objects
+from streetscan.calibration.quality import EdgeCheck, QualitySettings, hausdorff_distance, plane_distances
+from streetscan.errors import BadInput
+from streetscan.geometry import apply, invert, transform, transform_of_rotation
+
+# The stages whose projections are kept, in their order.
+STAGES = ("objects_raw", "objects", "icp", "curves", "motion")
+FINALS = ("curves", "motion")
+# Camera axes to forward, left, up.
+_UPRIGHT = transform_of_rotation(np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]]))
+# Points of the evidence at most, and of the fit of the raw projection.
+_N_EVIDENCE, _N_FITTED = 2000, 3000
+
+
+@dataclass(frozen=True)
+class CalibrationSettings:
+    """How a keyframe is calibrated.
+
+    Attributes:
+        objects, alignment, quality: see their classes.
+        motion_turn_deg: the turn that the motion tells is searched this far to either side; 180 leaves the motion out, as the thesis does.
+        n_bins: bins of a segment of the control curves.
+        range_m: lidar points farther away do not take part in ICP.
+        final: stage that gives `projection`: `motion`, or `curves` as in the thesis; without motion it is `curves` anyway.
+        with_raw: align without removing moving things too, for the first row of Table 4.2.
+    """
+
+    objects: ObjectSettings = field(default_factory=ObjectSettings)
+    alignment: AlignmentSettings = field(default_factory=AlignmentSettings)
+    quality: QualitySettings = field(default_factory=QualitySettings)
+    motion_turn_deg: float = 15.0
+    n_bins: int = 10
+    range_m: float = 40.0
+    final: str = "motion"
+    with_raw: bool = True
+
+    def __post_init__(self):
+        if self.final not in FINALS:
+            raise BadInput("calibrate_keyframe.settings.final", f"'{self.final}'", f"choose one of {', '.join(FINALS)}")
+
+
+class CalibrationFailed(Exception):
+    """A keyframe cannot be calibrated; `status` is a key of `quality.STATUSES`, the message says what was found."""
+
+    def __init__(self, status: str, reason: str):
+        super().__init__(reason)
+        self.status = status
+
+
+@dataclass
+class KeyframeClouds:
+    """What a keyframe is calibrated from.
+
+    Attributes:
+        points_lidar: (N, 3) raw points, metres, frame `lidar`.
+        time_offset_s: (N,) firing minus stamp, or None.
+        is_static: (N,) bool, False for points of moving things.
+        points_sfm: (M, 3) dense points, metres, frame `sfm`.
+        is_dynamic_sfm: (M,) bool, True for points of moving things.
+        cameras_sfm: (n, 3) where the images were taken, the reference first, then all of them in the order of time.
+        view: the reference image.
+        image: (H, W, 3) uint8 RGB, rectified.
+        motion: of the lidar, or None.
+        T_initial: (4, 4) T_camera_lidar in force, or None.
+    """
+
+    points_lidar: np.ndarray
+    time_offset_s: np.ndarray | None
+    is_static: np.ndarray
+    points_sfm: np.ndarray
+    is_dynamic_sfm: np.ndarray
+    cameras_sfm: np.ndarray
+    view: View
+    image: np.ndarray
+    motion: LidarMotion | None = None
+    T_initial: np.ndarray | None = None
+
+
+@dataclass
+class KeyframeCalibration:
+    """What became of a keyframe; what its status did not let be found is None or NaN.
+
+    Attributes:
+        status: a key of `quality.STATUSES`, or of the keyframe's reconstruction.
+        reason: what was found, with numbers.
+        projection: (3, 4) of the raw lidar frame; given for refused ones too, where there is one.
+        T_camera_lidar: (4, 4) rigid, of the sensors on the vehicle, the image's stamp taken as it is.
+        T_camera_stamp: (4, 4) the same before the motion between the stamps was taken out.
+        stages: name of a stage to its projection (3, 4).
+        residuals_px: (N, 2) of the points the final projection was fitted to.
+        figures: numbers by name, for the table.
+        evidence: (P, 9) points of matched objects freed of motion (frame `lidar`), the camera's nearest points and their normals (frame
+            of the camera at the reference image).
+        lidar, sfm: objects of the two clouds.
+        alignment, control, curves: of the stages.
+        seconds: wall time of each stage.
+    """
+
+    status: str = "ok"
+    reason: str = ""
+    projection: np.ndarray | None = None
+    T_camera_lidar: np.ndarray | None = None
+    T_camera_stamp: np.ndarray | None = None
+    stages: dict[str, np.ndarray] = field(default_factory=dict)
+    residuals_px: np.ndarray = field(default_factory=lambda: np.empty((0, 2)))
+    figures: dict[str, float] = field(default_factory=dict)
+    evidence: np.ndarray = field(default_factory=lambda: np.empty((0, 9)))
+    lidar: CloudObjects | None = None
+    sfm: CloudObjects | None = None
+    alignment: Alignment | None = None
+    control: ControlPoints | None = None
+    curves: ControlCurves | None = None
+    seconds: dict[str, float] = field(default_factory=dict)
+
+
+def calibrate_keyframe(clouds: KeyframeClouds, settings: CalibrationSettings = CalibrationSettings()) -> KeyframeCalibration:
+    """The calibration at one keyframe; its status says whether to believe it."""
+    made = KeyframeCalibration()
+    try:
+        _calibrate(clouds, settings, made)
+    except CalibrationFailed as failure:
+        made.status, made.reason = failure.status, str(failure)
+    return made
+
+
+def _calibrate(c: KeyframeClouds, s: CalibrationSettings, made: KeyframeCalibration) -> None:
+    clock = _Clock(made.seconds)
+    a, view = _narrow(c, s), c.view
+    if s.with_raw and (c.is_dynamic_sfm.any() or not c.is_static.all()):
+        _align_raw(c, s, a, made)
+        clock.stop("raw")
+    made.lidar, made.sfm, target = _prepare(c.points_lidar[c.is_static], c.points_sfm[~c.is_dynamic_sfm], c, s)
+    made.figures |= {f"n_{name}_objects": len(cloud) for name, cloud in (("lidar", made.lidar), ("sfm", made.sfm))}
+    made.figures |= {f"n_{name}_voxels": len(cloud.voxels) for name, cloud in (("lidar", made.lidar), ("sfm", made.sfm))}
+    made.figures["n_lidar_columns"] = count_columns(made.lidar.objects)
+    clock.stop("objects")
+    made.alignment = align_clouds(made.lidar, made.sfm, target, view, a)
+    clock.stop("alignment")
+    _check_alignment(made.alignment, a)
+    made.stages["objects"] = linear_of(view.T_camera_sfm @ made.alignment.T_sfm_lidar, view.K)
+    raw = refine_alignment(_near(c.points_lidar, c.is_static, s), target, made.alignment.T_sfm_lidar, a.icp)
+    made.stages["icp"] = linear_of(view.T_camera_sfm @ raw.T_sfm_lidar, view.K)
+    clock.stop("icp")
+    made.control = match_objects(made.lidar, target, raw.T_sfm_lidar)
+    final = _fit_curves(c, s, made, raw.T_sfm_lidar)
+    clock.stop("curves")
+    points, registered = c.points_lidar, raw
+    if c.motion is not None and c.time_offset_s is not None:
+        points = c.motion.deskew(c.points_lidar, c.time_offset_s)
+        registered = refine_alignment(_near(points, c.is_static, s), target, raw.T_sfm_lidar, a.icp)
+        moving = _fit_raw(c, points, registered.T_sfm_lidar)
+        if moving is not None:
+            made.stages["motion"] = moving.projection
+            final = moving if s.final == "motion" or final is None else final
+    made.T_camera_stamp = camera_of(view, registered.T_sfm_lidar)
+    made.T_camera_lidar = made.T_camera_stamp if c.motion is None else c.motion.to_image(made.T_camera_stamp)
+    made.figures |= {"icp_rmse_m": registered.rmse_m, "n_icp": registered.n_pairs, "scale": 1 / scale_of(registered.T_sfm_lidar)}
+    made.figures["n_matched"] = len(made.control.objects)
+    clock.stop("motion")
+    if not registered.is_converged:
+        raise CalibrationFailed("not_converged", f"{registered.n_pairs} correspondences, scale {scale_of(registered.T_sfm_lidar):.3f}")
+    if final is None:
+        raise CalibrationFailed("no_projection", f"{len(made.control.objects)} objects are matched")
+    made.projection, made.residuals_px = final.projection, final.residuals_px
+    _measure(c, s, made, points, registered.T_sfm_lidar, target)
+    clock.stop("quality")
+    _judge(made, s.quality)
+
+
+def _near(points: np.ndarray, is_static: np.ndarray, s: CalibrationSettings) -> np.ndarray:
+    """The static points that take part in ICP."""
+    return points[is_static & (np.linalg.norm(points, axis=1) < s.range_m)]
+
+
+class _Clock:
+    def __init__(self, seconds: dict[str, float]):
+        self._seconds, self._last = seconds, time.perf_counter()
+
+    def stop(self, stage: str) -> None:
+        now = time.perf_counter()
+        self._seconds[stage], self._last = now - self._last, now
+
+
+def _prepare(
+    points_lidar: np.ndarray, points_sfm: np.ndarray, c: KeyframeClouds, s: CalibrationSettings
+) -> tuple[CloudObjects, CloudObjects, PlaneTarget]:
+    """Objects of both clouds, each level, and the camera's cloud for ICP."""
+    found, ways = [], _ways(c, s) or (None, None)
+    clouds = ("lidar", points_lidar, np.eye(4)), ("camera's", points_sfm, _UPRIGHT @ c.view.T_camera_sfm)
+    for (name, cloud, T_guess), way in zip(clouds, ways, strict=True):
+        n_near = int((np.linalg.norm(apply(T_guess, cloud)[:, :2], axis=1) < s.objects.range_m).sum())
+        if n_near == 0:
+            raise CalibrationFailed("too_few_objects", f"the {name} cloud has no point within {s.objects.range_m:g} m")
+        T = find_level(cloud, T_guess, s.objects)
+        if not np.isfinite(T).all():
+            raise CalibrationFailed("no_ground", f"the {name} cloud has {n_near} points within {s.objects.range_m:g} m, none of them flat")
+        # x of the level frame is the way both sensors go, so that what is left to turn is small.
+        T = transform(rpy_rad=(0, 0, -_heading(T, way))) @ T if way is not None else T
+        found.append(find_objects(cloud, T, s.objects))
+        if len(found[-1]) == 0:
+            raise CalibrationFailed("too_few_objects", f"no object in the {name} cloud within {s.objects.range_m:g} m")
+    return *found, prepare_target(points_sfm, c.cameras_sfm, c.view.K[0, 0], s.alignment.icp)
+
+
+# A shorter way of the vehicle tells no direction.
+_MIN_WAY_M = 0.3
+
+
+def _ways(c: KeyframeClouds, s: CalibrationSettings) -> tuple[np.ndarray, np.ndarray] | None:
+    """Directions (3,) the vehicle moves in, frames `lidar` and `sfm`; None where they are not known or not to be used."""
+    if c.motion is None or s.motion_turn_deg >= 180:
+        return None
+    before, after = c.motion.at([-0.1, 0.1])
+    ways = after[:3, 3] - before[:3, 3], c.cameras_sfm[-1] - c.cameras_sfm[1]
+    return ways if min(np.linalg.norm(w) for w in ways) >= _MIN_WAY_M else None
+
+
+def _narrow(c: KeyframeClouds, s: CalibrationSettings) -> AlignmentSettings:
+    """The alignment's settings, its window as narrow as the motion allows."""
+    if _ways(c, s) is None:
+        return s.alignment
+    window = replace(s.alignment.window, turn_deg=min(s.alignment.window.turn_deg, s.motion_turn_deg))
+    return replace(s.alignment, window=window)
+
+
+def _heading(T_level_cloud: np.ndarray, way: np.ndarray) -> float:
+    """Azimuth in a level frame of a direction in the cloud's own frame."""
+    x, y, _ = T_level_cloud[:3, :3] @ way
+    return float(np.arctan2(y, x))
+
+
+def _align_raw(c: KeyframeClouds, s: CalibrationSettings, a: AlignmentSettings, made: KeyframeCalibration) -> None:
+    """The alignment of the clouds with all that moves in them; a stage for the tables alone, and none where it finds nothing."""
+    try:
+        lidar, sfm, target = _prepare(c.points_lidar, c.points_sfm, c, s)
+    except CalibrationFailed:
+        return
+    found = align_clouds(lidar, sfm, target, c.view, a)
+    if found is not None:
+        made.stages["objects_raw"] = linear_of(c.view.T_camera_sfm @ found.T_sfm_lidar, c.view.K)
+
+
+def _check_alignment(found: Alignment | None, a: AlignmentSettings) -> None:
+    if found is None or found.overlap < a.min_overlap:
+        share = 0.0 if found is None else found.overlap
+        raise CalibrationFailed("no_match", f"the clouds overlap by {100 * share:.0f} % of at least {100 * a.min_overlap:.0f} %")
+    if found.margin < a.min_margin:
+        raise CalibrationFailed("ambiguous", f"another place fits {100 * (1 - found.margin):.0f} % as well")
+
+
+def _fit_curves(c: KeyframeClouds, s: CalibrationSettings, made: KeyframeCalibration, T_sfm_lidar: np.ndarray) -> LinearProjection | None:
+    """The thesis' chain: T1 T* T_R on the centroids of matched objects, then one projection."""
+    control = made.control
+    up = invert(made.sfm.T_level_cloud)[:3, 2]
+    made.curves = fit_curves(control.lidar, control.sfm, control.weights, T_sfm_lidar[:3, 3], up, s.n_bins)
+    if made.curves is None:
+        return None
+    own = apply(invert(T_sfm_lidar), control.lidar)
+    pixels = c.view.project(made.curves.move(control.lidar))
+    seen = c.view.contains(pixels)
+    fitted = fit_projection(own[seen], pixels[seen], c.view.K)
+    if fitted is not None:
+        made.stages["curves"] = fitted.projection
+    return fitted
+
+
+def _fit_raw(c: KeyframeClouds, deskewed: np.ndarray, T_sfm_lidar: np.ndarray) -> LinearProjection | None:
+    """The linear projection of the raw frame that comes closest to the pixels of its points freed of motion."""
+    pixels = c.view.project(apply(T_sfm_lidar, deskewed))
+    chosen = np.flatnonzero(c.view.contains(pixels) & c.is_static)
+    chosen = chosen[:: max(1, len(chosen) // _N_FITTED)]
+    return fit_projection(c.points_lidar[chosen], pixels[chosen], c.view.K)
+
+
+def _measure(c: KeyframeClouds, s: CalibrationSettings, made: KeyframeCalibration, points, T_sfm_lidar, target: PlaneTarget) -> None:
+    """Distances of the registered clouds and of edges, and the evidence other calibrations are compared on."""
+    lidar, numbers = made.lidar, made.control.objects
+    members = np.concatenate([lidar.points_of(m) for m in numbers]) if len(numbers) else np.empty((0, 3))
+    raw = apply(invert(lidar.T_level_cloud), members)
+    own = _freed(c, raw)
+    moved = apply(T_sfm_lidar, own)
+    distances = plane_distances(moved, target, s.alignment.icp.reaches_m[1])
+    made.figures["median_distance_m"] = float(np.nanmedian(distances)) if np.isfinite(distances).any() else float("nan")
+    seen = c.view.sees(apply(T_sfm_lidar, points)) & c.is_static & (np.linalg.norm(points, axis=1) < s.objects.range_m)
+    made.figures["hausdorff_m"] = hausdorff_distance(apply(T_sfm_lidar, points[seen][::5]), target.points[::5])
+    found = np.isfinite(distances)
+    rows = np.flatnonzero(found)[:: max(1, found.sum() // _N_EVIDENCE)]
+    nearest = target.tree.query(moved[rows])[1]
+    to_camera = c.view.T_camera_sfm
+    # In the lidar's metres, as T_camera_stamp is.
+    planes = apply(to_camera, target.points[nearest]) / scale_of(T_sfm_lidar)
+    made.evidence = np.concatenate([own[rows], planes, target.normals[nearest] @ to_camera[:3, :3].T], axis=1)
+    check = EdgeCheck(c.image, c.points_lidar, s.quality)
+    made.figures |= {"edge_px": check.distance_px(made.projection), "edge_margin_px": check.margin_px(made.projection, c.view.K)}
+    if c.T_initial is not None:
+        before = c.T_initial if c.motion is None else c.T_initial @ invert(c.motion.at([c.motion.image_s])[0])
+        made.figures["edge_before_px"] = check.distance_px(linear_of(before, c.view.K))
+        made.figures["distance_before_m"] = evidence_distance(made.evidence, before)
+    made.figures["distance_after_m"] = evidence_distance(made.evidence, made.T_camera_stamp)
+
+
+def _freed(c: KeyframeClouds, raw: np.ndarray) -> np.ndarray:
+    """Thinned raw points of the frame freed of its motion; a thinned point moves with the azimuth of the points it came from."""
+    if c.motion is None or c.time_offset_s is None or len(raw) == 0:
+        return raw
+    azimuths = np.arctan2(c.points_lidar[:, 1], c.points_lidar[:, 0])
+    order = np.argsort(azimuths)
+    at = np.searchsorted(azimuths[order], np.arctan2(raw[:, 1], raw[:, 0]))
+    return c.motion.deskew(raw, c.time_offset_s[order][np.minimum(at, len(order) - 1)])
+
+
+def evidence_distance(evidence: np.ndarray, T_camera_stamp: np.ndarray) -> float:
+    """Median distance in m of the evidence's lidar points from the camera's planes under a transform (4, 4); NaN without evidence."""
+    if len(evidence) == 0:
+        return float("nan")
+    moved = apply(T_camera_stamp, evidence[:, :3])
+    return float(np.median(np.abs(np.einsum("ij,ij->i", moved - evidence[:, 3:6], evidence[:, 6:9]))))
+
+
+def _judge(made: KeyframeCalibration, q: QualitySettings) -> None:
+    """The gates; the first that fails is the status."""
+    f = made.figures
+    if f["n_matched"] < q.min_objects:
+        raise CalibrationFailed("too_few_objects", f"{f['n_matched']} matched objects of at least {q.min_objects}")
+    if not f["median_distance_m"] <= q.max_distance_m:
+        raise CalibrationFailed("far_apart", f"a median distance of {f['median_distance_m']:.3f} m of at most {q.max_distance_m:g} m")
+    if f["edge_margin_px"] < q.min_edge_margin_px:
+        raise CalibrationFailed("edges_disagree", f"turned, edges lie {-f['edge_margin_px']:.2f} px nearer")
+    if f["distance_after_m"] >= f.get("distance_before_m", np.inf):
+        raise CalibrationFailed(
+            "not_better", f"a distance of {f['distance_after_m']:.3f} m; the one in force has {f['distance_before_m']:.3f} m"
+        )

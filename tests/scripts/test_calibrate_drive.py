@@ -1,0 +1,25 @@
+"""The calibration of a drive of one toy keyframe, accepted or not."""
+
+import numpy as np
+import pandas as pd
+import yaml
+from toy_calibration import T_CAMERA_LIDAR, calibrate_toy, combine_toy
+
+
+def test_the_drive_has_a_calibration_with_its_deviation(tmp_path, toy_inputs, calibrated):
+    outputs = combine_toy(tmp_path, toy_inputs, calibrated)
+    found = yaml.safe_load(outputs["calibration_path"].read_text())
+    assert found["status"] == "ok"
+    assert found["keyframes"] == {"ok": 1}
+    np.testing.assert_allclose(found["T_camera_lidar"], T_CAMERA_LIDAR, atol=0.05)
+    assert np.array(found["covariance"]).shape == (7, 7)
+    assert pd.read_csv(outputs["history_path"])["action"].tolist() == ["replaced"]
+
+
+def test_without_an_accepted_keyframe_it_has_none(tmp_path, toy_inputs):
+    (tmp_path / "summary.csv").write_text("keyframe,status,reason,reference\n00,not_matched,no two images,-1\n")
+    refused = calibrate_toy(tmp_path, toy_inputs | {"model_summary_path": tmp_path / "summary.csv"})
+    outputs = combine_toy(tmp_path, toy_inputs, refused)
+    found = yaml.safe_load(outputs["calibration_path"].read_text())
+    assert (found["status"], found["keyframes"], found["T_camera_lidar"]) == ("no_keyframes", {"not_matched": 1}, None)
+    assert pd.read_csv(outputs["history_path"])["action"].tolist() == ["none"]

@@ -1,0 +1,66 @@
+"""Distances and edges that judge a calibration."""
+
+import numpy as np
+import pytest
+
+from streetscan.calibration.alignment import prepare_target
+from streetscan.calibration.linear_projection import linear_of
+from streetscan.calibration.quality import EdgeCheck, depth_edges, hausdorff_distance, plane_distances
+from streetscan.geometry import transform
+
+K = np.array([[400.0, 0, 320], [0, 400.0, 240], [0, 0, 1]])
+T_CAMERA_LIDAR = np.array([[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])
+
+
+def board_and_wall() -> tuple[np.ndarray, np.ndarray]:
+    """A lidar's rings on a board 8 m ahead, 2 m wide and high, before a wall at 20 m; and the image of it."""
+    azimuths, elevations = np.meshgrid(np.radians(np.arange(-30, 30, 0.17)), np.radians(np.arange(-20, 20, 0.4)))
+    rays = np.stack([np.ones_like(azimuths), np.tan(azimuths), np.tan(elevations) / np.cos(azimuths)], axis=-1).reshape(-1, 3)
+    is_board = (np.abs(8 * rays[:, 1:]) < 1).all(axis=1)
+    image = np.full((480, 640, 3), 200, np.uint8)
+    image[240 - 50 : 240 + 51, 320 - 50 : 320 + 51] = 60
+    return rays * np.where(is_board, 8.0, 20.0)[:, None], image
+
+
+def test_depth_edges_are_the_sides_of_what_stands_before_something():
+    points, _ = board_and_wall()
+    edges = depth_edges(points)
+    assert len(edges) > 50
+    assert (edges[:, 0] == 8).all()
+    assert (np.abs(edges[:, 1]) > 0.9).all()
+    assert len(depth_edges(points[points[:, 0] == 20])) == 0
+    assert len(depth_edges(np.empty((0, 3)))) == 0
+
+
+def test_edges_lie_on_edges_under_the_right_calibration_alone():
+    points, image = board_and_wall()
+    check = EdgeCheck(image, points)
+    right = linear_of(T_CAMERA_LIDAR, K)
+    assert check.distance_px(right) < 2
+    assert check.margin_px(right, K) > 0.5
+    turned = linear_of(T_CAMERA_LIDAR @ transform(rpy_rad=(0, 0, np.radians(0.5))), K)
+    assert check.distance_px(turned) > check.distance_px(right) + 1
+    assert check.margin_px(turned, K) < check.margin_px(right, K)
+    assert check.distance_px(linear_of(T_CAMERA_LIDAR @ transform(rpy_rad=(0, 0, np.radians(3))), K)) > 5
+
+
+def test_no_edge_in_view_is_no_number():
+    points, image = board_and_wall()
+    behind = linear_of(T_CAMERA_LIDAR @ transform(rpy_rad=(0, 0, np.pi)), K)
+    assert np.isnan(EdgeCheck(image, points).distance_px(behind))
+
+
+def test_distances_from_planes():
+    rng = np.random.default_rng(0)
+    target = prepare_target(np.c_[rng.uniform(-5, 5, (20_000, 2)), np.zeros(20_000)], np.array([(0.0, 0, 2), (1, 0, 2)]), 500.0)
+    distances = plane_distances(np.array([(0, 0, 0.1), (1, 1, -0.2), (0, 0, 3.0)]), target, 0.5)
+    np.testing.assert_allclose(distances[:2], [0.1, 0.2], atol=1e-6)
+    assert np.isnan(distances[2])
+
+
+def test_the_hausdorff_distance_is_that_of_the_farthest_point():
+    a = np.zeros((1, 3))
+    b = np.array([(0.0, 0, 0), (3, 4, 0)])
+    assert hausdorff_distance(a, b) == pytest.approx(5)
+    assert hausdorff_distance(b, a) == pytest.approx(5)
+    assert np.isnan(hausdorff_distance(a, a[:0]))

@@ -1,0 +1,110 @@
+"""Keyframes combined into one calibration: offsets, outliers, covariance, and which is in force."""
+
+import numpy as np
+import pytest
+from toy_calibration import START_NS
+
+from streetscan.calibration.drive_calibration import DriveCalibrationSettings, KeyframeResult, combine_keyframes, follow_drive
+from streetscan.calibration.motion import LidarMotion
+from streetscan.geometry import apply, invert, rotation_angle, transform
+from streetscan.registration.odometry import FramePose
+
+T_TRUE = np.array([[0.0, -1, 0, 0.1], [0, 0, -1, -0.2], [1, 0, 0, -0.4], [0, 0, 0, 1]]) @ transform([0, 0, 0], (0.01, 0.02, -0.03))
+
+
+def motion(speed_mps: float, turn_radps: float = 0.0) -> LidarMotion:
+    """Twenty poses of a lidar that drives at one speed and turns; the frame is the tenth, its image 20 ms later."""
+    poses = []
+    for k in range(21):
+        t = 0.1 * (k - 10)
+        pose = FramePose(k, START_NS / 1e9 + 0.1 * k, "ok", 0)
+        pose.T_segment_lidar = transform([speed_mps * t, 0, 0], (0, 0, turn_radps * t))
+        poses.append(pose)
+    return LidarMotion(poses, START_NS + 1_000_000_000, START_NS + 1_020_000_000)
+
+
+def keyframe(index: int, speed_mps: float = 8.0, error: np.ndarray | None = None, offset_s: float = 0.0, status: str = "ok"):
+    """A keyframe of the true mounting, or of one that is off by a transform, with an offset of the images' stamps."""
+    m = motion(speed_mps)
+    T = T_TRUE if error is None else T_TRUE @ error
+    T_stamp = T @ invert(m.at([m.image_s - offset_s])[0])
+    rng = np.random.default_rng(index)
+    points, normals = rng.uniform([5, -5, -1], [20, 5, 2], (200, 3)), rng.normal(size=(200, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    evidence = np.concatenate([points, apply(T_stamp, points), normals], axis=1)
+    return KeyframeResult(index, status, T_stamp, m, evidence)
+
+
+def noise(rng, m: float = 0.03, deg: float = 0.08) -> np.ndarray:
+    return transform(rng.normal(0, m, 3), np.radians(rng.normal(0, deg, 3)))
+
+
+def test_one_keyframe_is_its_own_calibration_with_the_deviation_of_one():
+    made = combine_keyframes([keyframe(0)])
+    np.testing.assert_allclose(made.T_camera_lidar, T_TRUE, atol=1e-6)
+    sigmas = np.sqrt(np.diag(made.covariance))
+    assert 0.02 < sigmas[0] < 0.08
+    assert sigmas[6] == pytest.approx(0.005, rel=0.1)
+
+
+def test_many_keyframes_are_better_than_one_and_say_so():
+    rng, errors, nees = np.random.default_rng(0), [], []
+    for _ in range(40):
+        offset_s = rng.normal(0, 0.005)
+        made = combine_keyframes([keyframe(k, error=noise(rng), offset_s=offset_s) for k in range(12)])
+        shift = made.T_camera_lidar[:3, 3] - T_TRUE[:3, 3]
+        errors.append(np.linalg.norm(shift))
+        nees.append(np.linalg.norm(shift) / np.sqrt(np.trace(made.covariance[:3, :3])))
+    assert np.mean(errors) < 0.06
+    # Sigma within a factor of two of the true error.
+    assert 0.5 < np.sqrt(np.mean(np.square(nees))) < 2
+
+
+def test_a_keyframe_that_disagrees_loses_its_weight():
+    rng = np.random.default_rng(1)
+    keyframes = [keyframe(k, error=noise(rng)) for k in range(8)] + [keyframe(8, error=transform([1.0, 0.5, 0], (0, 0, 0.1)))]
+    made = combine_keyframes(keyframes)
+    assert made.weights[-1] < 0.01
+    assert np.linalg.norm(made.T_camera_lidar[:3, 3] - T_TRUE[:3, 3]) < 0.05
+    assert np.degrees(rotation_angle(invert(T_TRUE) @ made.T_camera_lidar)) < 0.15
+
+
+def test_different_speeds_tell_the_offset():
+    keyframes = [keyframe(k, speed_mps=speed, offset_s=0.02) for k, speed in enumerate(np.linspace(2, 16, 30))]
+    made = combine_keyframes(keyframes, DriveCalibrationSettings(offset_std_s=0.05, keyframe_m=0.01))
+    assert made.time_offset_s == pytest.approx(0.02, abs=1e-3)
+    np.testing.assert_allclose(made.T_camera_lidar[:3, 3], T_TRUE[:3, 3], atol=0.01)
+
+
+def test_one_speed_does_not_tell_it_and_the_deviation_says_so():
+    made = combine_keyframes([keyframe(k, offset_s=0.02) for k in range(10)])
+    assert abs(made.time_offset_s) < 0.01
+    assert np.sqrt(made.covariance[6, 6]) > 0.004
+
+
+def test_without_an_accepted_keyframe_there_is_none():
+    made = combine_keyframes([keyframe(0, status="no_match")])
+    assert made.status == "no_keyframes"
+    assert np.isnan(made.T_camera_lidar).all()
+    assert combine_keyframes([]).status == "no_keyframes"
+
+
+def test_the_bootstrap_repeats():
+    rng = np.random.default_rng(2)
+    keyframes = [keyframe(k, error=noise(rng)) for k in range(5)]
+    np.testing.assert_array_equal(combine_keyframes(keyframes, seed=3).covariance, combine_keyframes(keyframes, seed=3).covariance)
+
+
+def test_a_shifted_mounting_is_noticed_and_replaced():
+    knock = transform([0, 0.03, 0], (0, 0, np.radians(1.0)))
+    keyframes = [keyframe(0), keyframe(1), keyframe(2, status="no_match"), keyframe(3, error=knock), keyframe(4, error=knock)]
+    table = follow_drive(keyframes)
+    assert table["action"].tolist() == ["replaced", "kept", "kept", "replaced", "kept"]
+    assert table["is_shifted"].tolist() == [False, False, False, True, False]
+    assert table["in_force"].tolist() == [0, 0, 0, 3, 3]
+
+
+def test_a_drive_begins_without_a_calibration():
+    table = follow_drive([keyframe(0, status="too_few_objects"), keyframe(1)])
+    assert table["action"].tolist() == ["none", "replaced"]
+    assert table["in_force"].tolist() == [-1, 1]

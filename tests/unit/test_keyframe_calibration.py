@@ -1,0 +1,107 @@
+"""A keyframe's calibration on a toy street whose sensors' places are known, and what bad input ends in."""
+
+import numpy as np
+import pytest
+from toy_calibration import T_CAMERA_LIDAR, changed, toy_keyframe
+
+from streetscan.calibration.keyframe_calibration import CalibrationSettings, calibrate_keyframe, evidence_distance
+from streetscan.calibration.linear_projection import project_linear
+from streetscan.calibration.objects import ObjectSettings
+from streetscan.calibration.quality import QualitySettings
+from streetscan.errors import BadInput
+from streetscan.geometry import invert, rotation_angle, transform
+
+# Outlines in the toy's picture are blurred by two pixels: the edge check is tested on its own.
+SETTINGS = CalibrationSettings(objects=ObjectSettings(range_m=30.0), quality=QualitySettings(min_edge_margin_px=-2.0))
+
+
+@pytest.fixture(scope="module")
+def toy():
+    return toy_keyframe()
+
+
+@pytest.fixture(scope="module")
+def made(toy):
+    return calibrate_keyframe(toy.clouds, SETTINGS)
+
+
+def test_the_mounting_is_found(made):
+    assert made.status == "ok", made.reason
+    error = invert(T_CAMERA_LIDAR) @ made.T_camera_lidar
+    assert np.degrees(rotation_angle(error)) < 0.1
+    assert np.linalg.norm(error[:3, 3]) < 0.03
+
+
+def test_the_projection_of_the_raw_frame_hits_the_pixels(toy, made):
+    true = toy.true_pixels
+    seen = toy.clouds.view.contains(true)
+    errors = np.abs(project_linear(made.projection, toy.clouds.points_lidar) - true)[seen]
+    assert errors.mean(axis=0).max() < 1.0
+
+
+def test_every_stage_is_kept_and_the_first_is_the_coarsest(toy, made):
+    true = toy.true_pixels
+    seen = toy.clouds.view.contains(true)
+    errors = {name: np.nanmean(np.abs(project_linear(P, toy.clouds.points_lidar) - true)[seen]) for name, P in made.stages.items()}
+    assert list(errors) == ["objects", "icp", "curves", "motion"]
+    assert errors["motion"] < errors["objects"]
+
+
+def test_a_cloud_that_is_two_percent_too_large_gives_the_same_mounting():
+    made = calibrate_keyframe(toy_keyframe(scale=1.02).clouds, SETTINGS)
+    assert made.status == "ok", made.reason
+    assert made.figures["scale"] == pytest.approx(1 / 1.02, abs=0.004)
+    assert np.linalg.norm((invert(T_CAMERA_LIDAR) @ made.T_camera_lidar)[:3, 3]) < 0.05
+
+
+def test_without_motion_the_curves_give_the_projection(toy):
+    made = calibrate_keyframe(changed(toy, motion=None), SETTINGS)
+    assert "motion" not in made.stages
+    np.testing.assert_array_equal(made.projection, made.stages["curves"])
+
+
+def test_the_one_in_force_is_replaced_only_by_a_better_one(toy):
+    kept = calibrate_keyframe(changed(toy, T_initial=T_CAMERA_LIDAR), SETTINGS)
+    of_another_camera = T_CAMERA_LIDAR @ transform([0.5, 1.0, 0], (0, 0, 0.3))
+    replaced = calibrate_keyframe(changed(toy, T_initial=of_another_camera), SETTINGS)
+    # What is true cannot be bettered by more than noise.
+    assert kept.figures["distance_before_m"] == pytest.approx(kept.figures["distance_after_m"], abs=2e-3)
+    assert kept.status == ("ok" if kept.figures["distance_after_m"] < kept.figures["distance_before_m"] else "not_better")
+    assert replaced.status == "ok"
+    assert replaced.figures["distance_before_m"] > 3 * replaced.figures["distance_after_m"]
+
+
+def test_evidence_tells_a_shifted_mounting(made):
+    good = evidence_distance(made.evidence, made.T_camera_stamp)
+    assert evidence_distance(made.evidence, made.T_camera_stamp @ transform([0, 0.1, 0], (0, 0, np.radians(0.5)))) > 2 * good
+    assert np.isnan(evidence_distance(np.empty((0, 9)), np.eye(4)))
+
+
+@pytest.mark.parametrize(
+    ("change", "status"),
+    [
+        (lambda c: {"points_lidar": c.points_lidar + np.float32([500, 0, 0])}, "too_few_objects"),
+        (lambda c: {"points_sfm": c.points_sfm[:0], "is_dynamic_sfm": c.is_dynamic_sfm[:0]}, "too_few_objects"),
+        (lambda c: {"is_static": np.zeros(len(c.is_static), bool)}, "too_few_objects"),
+        # A cloud of images of some other place: nothing but one wall where there is a road.
+        (lambda c: {"points_sfm": np.random.default_rng(0).uniform([-9, -3, 20], [9, 3, 20.1], (len(c.points_sfm), 3))}, "no_ground"),
+    ],
+)
+def test_bad_input_is_a_status(toy, change, status):
+    made = calibrate_keyframe(changed(toy, **change(toy.clouds)), SETTINGS)
+    assert made.status == status
+    assert made.reason
+    assert made.projection is None
+
+
+def test_clouds_of_two_places_do_not_match(toy):
+    other = toy_keyframe(seed=7)
+    mirrored = other.clouds.points_sfm * [-1.0, 1, 1]
+    keep = mirrored[:, 2] < 12
+    made = calibrate_keyframe(changed(toy, points_sfm=mirrored[keep], is_dynamic_sfm=np.zeros(keep.sum(), bool)), SETTINGS)
+    assert made.status != "ok"
+
+
+def test_settings_are_checked():
+    with pytest.raises(BadInput, match="choose one of curves, motion"):
+        CalibrationSettings(final="best")
