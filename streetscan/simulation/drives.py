@@ -219,8 +219,9 @@ class SimulatedRecording:
 
     def true_ranges(self, stamp_ns: int, directions: np.ndarray) -> np.ndarray:
         """How far the camera sees at an image's stamp: metres (N,) along directions (N, 3) in frame `camera`; inf where nothing is hit."""
-        time_s = (stamp_ns - self._start_ns) / _NS - self._drive.camera.time_offset_s
-        T_map_camera = self._vehicle_poses(np.array([time_s]))[0] @ self._drive.camera.T_vehicle_camera
+        mount = self._drive.cameras[CAMERA]
+        time_s = (stamp_ns - self._start_ns) / _NS - mount.time_offset_s
+        T_map_camera = self._vehicle_poses(np.array([time_s]))[0] @ mount.T_vehicle_camera
         rays = directions / np.linalg.norm(directions, axis=1, keepdims=True) @ T_map_camera[:3, :3].T
         origins = np.tile(T_map_camera[:3, 3], (len(rays), 1))
         return self._caster.cast(origins, rays, np.full(len(rays), time_s)).distances_m
