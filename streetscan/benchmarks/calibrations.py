@@ -96,13 +96,14 @@ def calibration_scores(paths: Sequence[str]) -> list[dict]:
     for path in paths:
         drive = Path(path).parent.name
         found = read_csv(path, ("set", "stage", "metric", "value", "unit", "n"), "evaluate_calibration").fillna({"set": "", "stage": ""})
+        is_both = {"slow", "fast"} <= set(found["set"])
         for r in found.to_dict("records"):
             figure = r["value"], r["unit"], r["n"], drive
-            if r["stage"] == "final" and r["metric"] in _PIXELS:
-                rows.append(make_score("nagy_4_1", "proposed", r["set"], r["metric"], *figure, "final"))
-                rows.append(make_score("calibration", drive, "", r["metric"], *figure, "final"))
-            elif r["stage"] == "final":
-                rows.append(make_score("calibration", drive, "", r["metric"], *figure, "final"))
+            if r["stage"] == "final":
+                if r["metric"] in _PIXELS:
+                    rows.append(make_score("nagy_4_1", "proposed", r["set"], r["metric"], *figure, "final"))
+                row = f"{drive}/{r['set']}" if is_both else drive
+                rows.append(make_score("calibration", row, "", r["metric"], *figure, "final"))
             elif r["stage"] in _STEPS and r["set"] == "slow" and r["metric"] in _PIXELS:
                 rows.append(make_score("nagy_4_2", _STEPS[r["stage"]], "", r["metric"], *figure, r["stage"]))
             elif r["stage"] in ("", "drive"):

@@ -182,12 +182,12 @@ def summarize_errors(errors: pd.DataFrame, transforms: pd.DataFrame) -> pd.DataF
                     rows.append((name, stage, f"{prefix}{axis}_mean", float(value), "px", len(own)))
                     rows.append((name, stage, f"{prefix}{axis}_deviation", float(deviation), "px", len(own)))
     for row in transforms[transforms["keyframe"] == "drive"].to_dict("records"):
-        for metric, unit in (
-            ("rotation_deg", "deg"),
-            ("translation_m", "m"),
-            ("sigma_deg", "deg"),
-            ("sigma_m", "m"),
-            ("offset_error_s", "s"),
+        for column, metric, unit in (
+            ("rotation_deg", "rotation", "deg"),
+            ("translation_m", "translation", "m"),
+            ("sigma_deg", "rotation_sigma", "deg"),
+            ("sigma_m", "translation_sigma", "m"),
+            ("offset_error_s", "offset_error", "s"),
         ):
-            rows.append(("", "drive", metric.rsplit("_", 1)[0], row[metric], unit, int((finals["status"] == "ok").sum())))
+            rows.append(("", "drive", metric, row[column], unit, int((finals["status"] == "ok").sum())))
     return pd.DataFrame(rows, columns=["set", "stage", "metric", "value", "unit", "n"])

@@ -1,11 +1,11 @@
-"""Reconstructed keyframes in the tables and the report."""
+"""Reconstructed and calibrated keyframes in the tables and the report."""
 
 import cv2
 import numpy as np
 import pandas as pd
 import pytest
 
-from streetscan.benchmarks.calibrations import draw_reconstructions, reconstruction_scores
+from streetscan.benchmarks.calibrations import calibration_scores, draw_reconstructions, reconstruction_scores
 from streetscan.benchmarks.scores import collect_scores
 from streetscan.benchmarks.tables import make_tables
 from streetscan.errors import BadInput
@@ -44,3 +44,19 @@ def test_keyframes_with_pictures_have_a_place_in_the_report(tmp_path):
     assert [section.parts[0].heading for section in sections] == ["Keyframe 00"]
     assert len(sections[0].parts) == 1
     assert draw_reconstructions([str(models[1])]) == []
+
+
+def test_calibration_stands_in_both_tables_of_the_thesis(tmp_path):
+    path = tmp_path / "evaluate_calibration" / "my_drive" / "scores.csv"
+    path.parent.mkdir(parents=True)
+    pixels = [("slow", stage, f"{axis}_mean", 1.0, "px", 2) for stage in ("objects", "final") for axis in "xy"]
+    turn = [("", "drive", metric, 0.1, "deg", 2) for metric in ("rotation", "rotation_sigma")]
+    rows = [("", "", "accepted", 50.0, "%", 4), *pixels, *turn]
+    columns = ["set", "stage", "metric", "value", "unit", "n"]
+    pd.DataFrame(rows, columns=columns).to_csv(path, index=False)
+    found = collect_scores([], {}, calibration_scores([str(path)]))
+    ours = found[found.method != ""]
+    assert ours.groupby("table").size().to_dict() == {"calibration": 5, "nagy_4_1": 2, "nagy_4_2": 2}
+    pd.DataFrame([*rows, ("fast", "final", "x_mean", 2.0, "px", 1)], columns=columns).to_csv(path, index=False)
+    both = collect_scores([], {}, calibration_scores([str(path)]))
+    assert {"my_drive/slow", "my_drive/fast", "my_drive"} <= set(both[both.table == "calibration"].row)
