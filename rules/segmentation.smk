@@ -70,6 +70,7 @@ rule train_segmenter:
     conda:
         "../envs/streetscan.yaml"
     threads: config["n_threads"]
+    priority: 10  # the longest jobs first, or a core idles at the end
     resources:
         mem_mb=4000,
     params:
@@ -99,6 +100,7 @@ rule train_baseline:
     conda:
         "../envs/streetscan.yaml"
     threads: config["n_threads"]
+    priority: 10  # the longest jobs first, or a core idles at the end
     resources:
         mem_mb=4000,
     params:
