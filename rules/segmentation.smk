@@ -67,10 +67,10 @@ rule train_segmenter:
         "results/train_segmenter/{dataset}/{model}/weights.log",
     benchmark:
         "results/train_segmenter/{dataset}/{model}/weights.bench.tsv"
+    priority: 10  # the longest jobs first, or a core idles at the end
     conda:
         "../envs/streetscan.yaml"
     threads: config["n_threads"]
-    priority: 10  # the longest jobs first, or a core idles at the end
     resources:
         mem_mb=4000,
     params:
@@ -97,10 +97,10 @@ rule train_baseline:
         "results/train_baseline/{dataset}/{model}/model.bench.tsv"
     wildcard_constraints:
         model="|".join(BASELINES),
+    priority: 10  # the longest jobs first, or a core idles at the end
     conda:
         "../envs/streetscan.yaml"
     threads: config["n_threads"]
-    priority: 10  # the longest jobs first, or a core idles at the end
     resources:
         mem_mb=4000,
     params:
