@@ -33,8 +33,8 @@ class DynamicPixels:
     scores: np.ndarray
 
     def save(self, path: str | Path) -> None:
-        """Write as .npz."""
-        save_npz(path, classes=self.classes, instances=self.instances, scores=self.scores)
+        """Write as .npz, compressed."""
+        save_npz(path, is_packed=True, classes=self.classes, instances=self.instances, scores=self.scores)
 
     @classmethod
     def load(cls, path: str | Path) -> "DynamicPixels":
@@ -60,7 +60,7 @@ class DynamicPoints:
 
     def save(self, path: str | Path) -> None:
         """Write as .npz; the labels are `classes` there."""
-        save_npz(path, is_dynamic=self.is_dynamic, boxes=self.boxes, classes=self.labels, scores=self.scores)
+        save_npz(path, is_packed=True, is_dynamic=self.is_dynamic, boxes=self.boxes, classes=self.labels, scores=self.scores)
 
     @classmethod
     def load(cls, path: str | Path) -> "DynamicPoints":

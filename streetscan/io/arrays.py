@@ -1,6 +1,7 @@
 """Plain arrays as `.npy` and `.npz`, written whole or not at all, read without pickles."""
 
 import zipfile
+import zlib
 from pathlib import Path
 
 import numpy as np
@@ -8,7 +9,7 @@ import numpy as np
 from streetscan.errors import BadInput
 from streetscan.io.atomic import atomic_path
 
-_READ_ERRORS = (OSError, ValueError, EOFError, zipfile.BadZipFile)
+_READ_ERRORS = (OSError, ValueError, EOFError, zipfile.BadZipFile, zlib.error)
 
 
 def save_npy(path: str | Path, array: np.ndarray) -> None:
@@ -38,10 +39,10 @@ def load_npy(path: str | Path, made_by: str, length: int | None = None) -> np.nd
     return array
 
 
-def save_npz(path: str | Path, **arrays: np.ndarray) -> None:
-    """Write named arrays, uncompressed."""
+def save_npz(path: str | Path, is_packed: bool = False, **arrays: np.ndarray) -> None:
+    """Write named arrays, compressed where `is_packed`: masks shrink to a hundredth, points hardly at all."""
     with atomic_path(path) as partial, open(partial, "wb") as stream:
-        np.savez(stream, **arrays)
+        (np.savez_compressed if is_packed else np.savez)(stream, **arrays)
 
 
 def load_npz(path: str | Path, names: tuple[str, ...], made_by: str) -> tuple[np.ndarray, ...]:

@@ -14,6 +14,14 @@ def test_arrays_come_back(tmp_path):
     assert y == 0.5
 
 
+def test_packed_arrays_come_back_from_less(tmp_path):
+    mask = np.zeros((300, 400), np.uint8)
+    mask[100:200, 50:90] = 5
+    save_npz(tmp_path / "a.npz", is_packed=True, mask=mask)
+    np.testing.assert_array_equal(load_npz(tmp_path / "a.npz", ("mask",), "step")[0], mask)
+    assert (tmp_path / "a.npz").stat().st_size < mask.size / 50
+
+
 def test_an_array_of_another_length_is_refused(tmp_path):
     save_npy(tmp_path / "a.npy", np.zeros((2, 3)))
     with pytest.raises(BadInput, match=r"\(2, 3\) instead of 3"):
