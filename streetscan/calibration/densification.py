@@ -131,10 +131,11 @@ def densify(
 
 
 def _sources(place: int, n: int, n_sources: int) -> np.ndarray:
-    """Images a map is compared with: spread over the others from the nearest to the farthest."""
+    """Images a map is compared with: spread over the others from the farthest to the nearest."""
     others = sorted((i for i in range(n) if i != place), key=lambda i: (abs(i - place), i))
     chosen = np.unique(np.linspace(0, len(others) - 1, min(n_sources, len(others))).round().astype(int))
-    return np.array([others[i] for i in chosen])
+    # The farthest first: it tells soonest that a plane is wrong.
+    return np.array([others[i] for i in chosen[::-1]])
 
 
 def _projection(K: np.ndarray, T_source: np.ndarray, T_reference: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -241,31 +242,42 @@ def _weigh(grey, u, v, radius, step, values, weights):
 
 
 @njit(cache=True, nogil=True, fastmath=True)
-def _cost(sources, A, b, u, v, w, wu, wv, radius, step, values, weights):
-    """Mean truncated 1 - NCC of a plane over the sources that see the patch; _BAD when fewer than two (or all) do."""
+def _cost(sources, A, b, u, v, w, wu, wv, radius, step, values, weights, limit):
+    """Mean truncated 1 - NCC of a plane over the sources that see the patch; _BAD when fewer than two (or all) do.
+
+    What can no longer come below `limit` is given up and _BAD, too.
+    """
     n_sources, height, width = sources.shape
     variance = 0.0
     for k in range(len(values)):
         variance += weights[k] * values[k] * values[k]
+    reach = radius * step
     total, n_seen = 0.0, 0
     for s in range(n_sources):
+        # On a plane, numerators and denominator of the source's pixel are linear in the pixel.
+        xu, xv = A[s, 0, 0] + wu * b[s, 0], A[s, 0, 1] + wv * b[s, 0]
+        yu, yv = A[s, 1, 0] + wu * b[s, 1], A[s, 1, 1] + wv * b[s, 1]
+        zu, zv = A[s, 2, 0] + wu * b[s, 2], A[s, 2, 1] + wv * b[s, 2]
+        x0 = A[s, 0, 0] * u + A[s, 0, 1] * v + A[s, 0, 2] + w * b[s, 0]
+        y0 = A[s, 1, 0] * u + A[s, 1, 1] * v + A[s, 1, 2] + w * b[s, 1]
+        z0 = A[s, 2, 0] * u + A[s, 2, 1] * v + A[s, 2, 2] + w * b[s, 2]
+        # A patch whose corners are seen is seen.
+        is_seen = True
+        for i in (-reach, reach):
+            for j in (-reach, reach):
+                z = z0 + zu * j + zv * i
+                x, y = x0 + xu * j + xv * i, y0 + yu * j + yv * i
+                if z < 1e-6 or not (x >= 0.0 and y >= 0.0 and x < (width - 1.001) * z and y < (height - 1.001) * z):
+                    is_seen = False
+        if not is_seen:
+            continue
         mean, square, product = 0.0, 0.0, 0.0
         k = 0
-        is_seen = True
         for i in range(-radius, radius + 1):
-            y = v + i * step
+            xi, yi, zi = x0 + xv * i * step, y0 + yv * i * step, z0 + zv * i * step
             for j in range(-radius, radius + 1):
-                x = u + j * step
-                depth = w + wu * (x - u) + wv * (y - v)
-                z = A[s, 2, 0] * x + A[s, 2, 1] * y + A[s, 2, 2] + depth * b[s, 2]
-                if z < 1e-6:
-                    is_seen = False
-                    break
-                px = (A[s, 0, 0] * x + A[s, 0, 1] * y + A[s, 0, 2] + depth * b[s, 0]) / z
-                py = (A[s, 1, 0] * x + A[s, 1, 1] * y + A[s, 1, 2] + depth * b[s, 1]) / z
-                if not (px >= 0.0 and py >= 0.0 and px < width - 1.001 and py < height - 1.001):
-                    is_seen = False
-                    break
+                scale = 1.0 / (zi + zu * j * step)
+                px, py = (xi + xu * j * step) * scale, (yi + yu * j * step) * scale
                 cx, cy = int(px), int(py)
                 fx, fy = px - cx, py - cy
                 top = sources[s, cy, cx] * (1 - fx) + sources[s, cy, cx + 1] * fx
@@ -276,13 +288,12 @@ def _cost(sources, A, b, u, v, w, wu, wv, radius, step, values, weights):
                 square += weighted * value
                 product += weighted * values[k]
                 k += 1
-            if not is_seen:
-                break
-        if is_seen:
-            spread = (square - mean * mean) * variance
-            ncc = product / np.sqrt(spread) if spread > 1e-6 else 0.0
-            total += min(1.0 - ncc, _TRUNCATED)
-            n_seen += 1
+        spread = (square - mean * mean) * variance
+        ncc = product / np.sqrt(spread) if spread > 1e-6 else 0.0
+        total += min(1.0 - ncc, _TRUNCATED)
+        n_seen += 1
+        if total >= limit * (n_seen + n_sources - 1 - s):
+            return _BAD
     return total / n_seen if n_seen >= min(2, n_sources) else _BAD
 
 
@@ -295,7 +306,7 @@ def _score(planes, cost, is_textured, grey, sources, A, b, grid, radius, step):
         for j in range(planes.shape[1]):
             if is_textured[i, j] and _weigh(grey, j * grid, i * grid, radius, step, values, weights):
                 w, wu, wv = planes[i, j]
-                cost[i, j] = _cost(sources, A, b, j * grid, i * grid, w, wu, wv, radius, step, values, weights)
+                cost[i, j] = _cost(sources, A, b, j * grid, i * grid, w, wu, wv, radius, step, values, weights, _BAD)
 
 
 @njit(cache=True, nogil=True, parallel=True)
@@ -318,7 +329,7 @@ def _improve(planes, cost, is_textured, grey, sources, A, b, grid, radius, step,
                 t = planes[a, c, 0] + tu * (j - c) * grid + tv * (i - a) * grid
                 if not 0.0 < t < limit:
                     continue
-                new = _cost(sources, A, b, u, v, t, tu, tv, radius, step, values, weights)
+                new = _cost(sources, A, b, u, v, t, tu, tv, radius, step, values, weights, best)
                 if new < best:
                     best, w, wu, wv = new, t, tu, tv
             state = np.uint64(seed * 1000003 + iteration * 7919 + 1) * np.uint64(0x9E3779B97F4A7C15)
@@ -335,7 +346,7 @@ def _improve(planes, cost, is_textured, grey, sources, A, b, grid, radius, step,
                     state = _next(state)
                     tv = wv + w * reach * 0.5**iteration * _uniform(state) / 12.0
                 if 0.0 < t < limit:
-                    new = _cost(sources, A, b, u, v, t, tu, tv, radius, step, values, weights)
+                    new = _cost(sources, A, b, u, v, t, tu, tv, radius, step, values, weights, best)
                     if new < best:
                         best, w, wu, wv = new, t, tu, tv
                 reach *= 0.3
@@ -366,13 +377,13 @@ def _sharpen(planes, cost, is_textured, grey, sources, A, b, grid, radius, step,
             for _ in range(2):
                 if not h < w < limit - h:
                     break
-                below = _cost(sources, A, b, u, v, w - h, wu, wv, radius, step, values, weights)
-                above = _cost(sources, A, b, u, v, w + h, wu, wv, radius, step, values, weights)
+                below = _cost(sources, A, b, u, v, w - h, wu, wv, radius, step, values, weights, _BAD)
+                above = _cost(sources, A, b, u, v, w + h, wu, wv, radius, step, values, weights, _BAD)
                 bend = below + above - 2 * best
                 if bend <= 1e-9 or below >= _BAD or above >= _BAD:
                     break
                 t = w + min(max(0.5 * h * (below - above) / bend, -h), h)
-                new = _cost(sources, A, b, u, v, t, wu, wv, radius, step, values, weights)
+                new = _cost(sources, A, b, u, v, t, wu, wv, radius, step, values, weights, _BAD)
                 if new > best:
                     break
                 w, best, h = t, new, h * 0.5
