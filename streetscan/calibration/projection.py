@@ -3,7 +3,8 @@
 Source: Nagy (2020), 4.3.1 (5) (M = 45 points, chosen by point density, labels not dynamic; N-209, N-211) and 4.4.2 (N-231).
 
 ASSUME: the density of a point is the number of other static points observed within `radius_px` of it in the same image, and the M densest
-are taken. Points spread over the image (`spread`: each the one farthest from those taken) are the alternative.
+are taken that are no nearer to each other than that: without, all lie in one spot, and the rest of the image is pixels off. Points spread
+over the image (`spread`: each the one farthest from those taken) are the alternative.
 """
 
 from dataclasses import dataclass
@@ -99,9 +100,19 @@ def project_pinhole(points: np.ndarray, K: np.ndarray, T_camera_frame: np.ndarra
 
 
 def choose_dense(pixels: np.ndarray, n_points: int, radius_px: float) -> np.ndarray:
-    """Rows of the points with the most others within a radius, densest first; the earlier row where they are alike."""
-    n_near = cKDTree(pixels).query_ball_point(pixels, radius_px, return_length=True) - 1
-    return np.lexsort((np.arange(len(pixels)), -n_near))[:n_points]
+    """Rows of the points with the most others within a radius, densest first, the earlier row where they are alike.
+
+    Of the denser half, none within the radius of one taken before; the rest fills up what is missing.
+    """
+    near = cKDTree(pixels).query_ball_point(pixels, radius_px)
+    n_near = np.array([len(rows) for rows in near])
+    order = np.lexsort((np.arange(len(pixels)), -n_near))
+    chosen, is_near = [], n_near < np.median(n_near)
+    for row in order:
+        if not is_near[row]:
+            chosen.append(row)
+            is_near[near[row]] = True
+    return np.array([*chosen, *order[~np.isin(order, chosen)]], np.int64)[:n_points]
 
 
 def choose_spread(pixels: np.ndarray, n_points: int) -> np.ndarray:

@@ -46,9 +46,9 @@ def test_errors_are_of_all_points_not_of_the_chosen():
 
 def test_the_densest_by_hand():
     pixels = np.array([[0, 0], [10, 0], [20, 0], [100, 0], [101, 0], [300, 0]], float)
-    # Within 15 px: 1, 2, 1, 1, 1, 0 others.
-    assert choose_dense(pixels, 3, 15.0).tolist() == [1, 0, 2]
-    assert choose_dense(pixels, 99, 15.0).tolist() == [1, 0, 2, 3, 4, 5]
+    # Within 15 px: 1, 2, 1, 1, 1, 0 others; 0 and 2 are near 1, and 4 is near 3.
+    assert choose_dense(pixels, 3, 15.0).tolist() == [1, 3, 0]
+    assert choose_dense(pixels, 99, 15.0).tolist() == [1, 3, 0, 2, 4, 5]
 
 
 def test_spread_by_hand():
