@@ -1,4 +1,4 @@
-"""Keyframes of a drive: images that moved, the lidar frame beside them, columns in view."""
+"""Keyframes of a drive: images that moved, the lidar frame beside them, columns around."""
 
 from pathlib import Path
 

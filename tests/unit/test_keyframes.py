@@ -125,11 +125,11 @@ def test_movement_and_saturation_by_hand(toy_street):
     assert saturated_share(image) == pytest.approx(0.4)
 
 
-def test_columns_are_counted_in_view(lidar_frames):
-    """Of the street's posts, those ahead; house fronts and cars are none."""
-    everywhere, ahead = count_columns(lidar_frames[0], 2 * np.pi), count_columns(lidar_frames[0], np.radians(66))
-    assert 3 <= ahead < everywhere
-    assert count_columns(np.empty((0, 3)), 1.0) == 0
+def test_columns_are_counted_within_range(lidar_frames):
+    """The street's posts; house fronts and cars are none."""
+    everywhere, near = count_columns(lidar_frames[0]), count_columns(lidar_frames[0], KeyframeSettings(column_range_m=12.0))
+    assert 0 < near < everywhere
+    assert count_columns(np.empty((0, 3))) == 0
 
 
 def test_settings_are_checked():
