@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pandas as pd
 
+from benchmarks.bench_calibration import bench_calibration
 from benchmarks.bench_drives import bench_drives
 from benchmarks.bench_labelling import run_labelling_benchmark
 from benchmarks.bench_localization import bench_localization
@@ -34,6 +35,7 @@ def main() -> None:
         "labelling": lambda: run_labelling_benchmark(arguments.data_root),
         "drives": lambda: bench_drives(arguments.data_root),
         "localization": lambda: bench_localization(arguments.data_root),
+        "calibration": bench_calibration,
         "registration": lambda: bench_registration(arguments.data_root),
     }
     chosen = arguments.names or list(benchmarks)

@@ -259,6 +259,41 @@ rule evaluate_calibration:
         "../scripts/evaluate_calibration.py"
 
 
+rule evaluate_recalibration:
+    """A simulated drive's keyframes calibrated again and again with other lidar frames and starts, and with other bins of the vote."""
+    input:
+        code=library("evaluate_recalibration"),
+        drive=drive_file("drive.mcap"),
+        truth=drive_file("truth"),
+        keyframes="results/choose_keyframes/{drive}/keyframes.csv",
+        poses=keyframe_poses,
+        models=lambda w: for_keyframes("results/reconstruct_keyframe/{drive}/{keyframe}/model", [w.drive]),
+        lidar_files=detector_files("lidar"),
+    output:
+        trials="results/evaluate_recalibration/{drive}/trials.csv",
+        sizes="results/evaluate_recalibration/{drive}/bins.csv",
+        scores="results/evaluate_recalibration/{drive}/scores.csv",
+        figure="results/evaluate_recalibration/{drive}/trials.png",
+    log:
+        "results/evaluate_recalibration/{drive}/scores.log",
+    benchmark:
+        "results/evaluate_recalibration/{drive}/scores.bench.tsv"
+    conda:
+        "../envs/streetscan.yaml"
+    threads: config["n_threads"]
+    resources:
+        mem_mb=3000,
+    params:
+        **{key: config["evaluate_recalibration"][key] for key in ("n_trials", "max_step", "max_tilt_deg", "bins")},
+        **{key: config["detect_dynamic"][key] for key in ("margin_m", "foot_m")},
+        settings=config["calibrate_keyframe"]["settings"],
+        lidar_detector=chosen_detector("lidar"),
+        seed=config["seed"],
+        n_threads=config["n_threads"],
+    script:
+        "../scripts/evaluate_recalibration.py"
+
+
 rule tabulate_benchmarks:
     """The papers' tables with ours beside theirs, as CSV, Markdown and LaTeX, and one report of the run."""
     input:
@@ -284,6 +319,8 @@ rule tabulate_benchmarks:
         detections=expand("results/evaluate_detections/{drive}/scores.csv", drive=SCORED_DETECTIONS),
         models=for_keyframes("results/reconstruct_keyframe/{drive}/{keyframe}/model", CALIBRATED),
         calibrations=expand("results/evaluate_calibration/{drive}/scores.csv", drive=SCORED_CALIBRATIONS),
+        recalibrations=expand("results/evaluate_recalibration/{drive}/scores.csv", drive=RECALIBRATED),
+        recalibration_figures=expand("results/evaluate_recalibration/{drive}/trials.png", drive=RECALIBRATED),
         calibrated=for_keyframes("results/calibrate_keyframe/{drive}/{keyframe}/pictures", CALIBRATED),
         verdicts=for_keyframes("results/calibrate_keyframe/{drive}/{keyframe}/summary.csv", CALIBRATED),
     output:

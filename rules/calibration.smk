@@ -2,7 +2,7 @@
 
 
 rule choose_keyframes:
-    """Places of a drive for one calibration each: images that moved, the lidar frame beside them, columns in view."""
+    """Places of a drive for one calibration each: images that moved, the lidar frame beside them, columns around."""
     input:
         code=library("choose_keyframes"),
         drive=drive_file("drive.mcap"),

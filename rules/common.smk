@@ -494,6 +494,10 @@ def has_poses_on(dataset, drive):
 SCORED_CALIBRATIONS = [
     d for d in CALIBRATED if has_poses(d) and (step_of_drive(d) == "simulate_drive" or "extrinsics" in drive_facts(d)["truth"])
 ]
+RECALIBRATED = config["evaluate_recalibration"]["drives"]
+for drive in RECALIBRATED:
+    if drive not in CALIBRATED or step_of_drive(drive) != "simulate_drive":
+        raise WorkflowError(f"evaluate_recalibration.drives: '{drive}' is no simulated drive of calibrated_drives; name one that is.")
 SCORED_DETECTIONS = [d for d in CALIBRATED if has_labels(d)]
 LOCALIZED = localizations()
 SCORED_LOCALIZATIONS = [(*names, place_of(names[1])) for names in LOCALIZED if has_poses_on(*names[:2])]
@@ -526,7 +530,9 @@ def chosen_detector(kind):
 
 
 def detector_files(kind):
-    """The weights of that detector: those in weights/ (`shipped`), or the files it names."""
+    """The weights of that detector: those in weights/ (`shipped`), or the files it names, relative to data_root."""
     files = chosen_detector(kind)["files"]
     folder = HOME / "weights" / f"{kind}_detector"
-    return [f"{folder}/{name}" for name in ("weights.safetensors", "settings.yaml")] if files == ["shipped"] else files
+    if files == ["shipped"]:
+        return [f"{folder}/{name}" for name in ("weights.safetensors", "settings.yaml")]
+    return [str(Path(config["data_root"], name)) for name in files]

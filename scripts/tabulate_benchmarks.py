@@ -21,8 +21,9 @@ def main(
         inputs: of evaluate_labels `evaluations` and `confusions`, one per pair in `evaluated`; `histories`, per pair in `trained`; of
             evaluate_views `views`, per pair in `viewed`; of evaluate_registration `registrations` and `trajectories`, per pair in
             `registered`; of merge_frames `streets`, per pair in `merged`; per drive `grids` of evaluate_frames and `frames` of show_frames;
-            per name in `localized` `localizations`, `localization_pictures`; per drive `reconstructions`, `detections`, `calibrations`; per
-            keyframe `models`, `calibrated`, `verdicts`; `realism` (per name in `compared`), `densities` (per key of `static_scans`).
+            per name in `localized` `localizations`, `localization_pictures`; per drive `reconstructions`, `detections`, `calibrations`,
+            `recalibrations`, `recalibration_figures`; per keyframe `models`, `calibrated`, `verdicts`; `realism` (per name in `compared`),
+            `densities` (per key of `static_scans`).
         outputs: `scores`, `report` (files), `tables`, `figures` (folders). evaluated ... localized: names, their parts as in the paths.
         facts: of Table 1.2, by data set. realism: `simulated` data sets; names `compared`, `not_compared`; `static_scans`: mobile data set.
     """
@@ -42,7 +43,7 @@ def main(
     streets = dict(zip(map(tuple, merged), inputs["streets"], strict=True))
     sections += registrations.draw_drives(outputs["figures"], drives, streets, inputs["frames"])
     sections += localizations.draw_localizations(outputs["figures"], on_maps, inputs["localization_pictures"])
-    sections += calibrations.draw_keyframes(inputs["models"], inputs["calibrated"], inputs["verdicts"])
+    sections += calibrations.draw_keyframes(inputs)
     labelled = list(dict.fromkeys([*map(tuple, evaluated), *views]))
     about = report.describe_run(config["run"], config["seed"], labelled, registered)
     resolved, unscored = yaml.safe_dump(dict(config), sort_keys=False, allow_unicode=True), labelled[len(evaluated) :]

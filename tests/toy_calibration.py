@@ -198,7 +198,7 @@ def calibrate_toy(
 ) -> dict[str, Path]:
     """Run calibrate_keyframe into a folder; its outputs."""
     # Outlines in the toy's picture are blurred by two pixels.
-    settings = {"quality": {"min_edge_margin_px": -2.0}} if settings is None else settings
+    settings = {"final": "motion", "quality": {"min_edge_margin_px": -2.0}} if settings is None else settings
     names = {"calibration_path": "calibration.yaml", "evidence_path": "evidence.npz", "summary_path": "calibrated.csv"}
     outputs = {key: folder / name for key, name in names.items()} | {"pictures_folder": folder / "pictures"}
     calibrate_keyframe.main(**inputs, dynamic_folder=dynamic_folder, keyframe=0, settings=settings, **outputs)

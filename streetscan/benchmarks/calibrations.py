@@ -6,6 +6,8 @@ Source: Nagy (2020), 4.3.1 (points of Fig. 4.2, reprojection error), Figs. 4.2-4
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+import numpy as np
+
 from streetscan.benchmarks.published import title
 from streetscan.benchmarks.report import Gallery, Part, Section, embed
 from streetscan.benchmarks.scores import make_score
@@ -26,7 +28,14 @@ _CALIBRATION_PICTURES = {
     "sfm_shapes": "Shapes of the images", "curves": "Control curves",
 }  # fmt: skip
 # Stage to row of Table 4.2, which is of the slow set.
-_STEPS = {"objects_raw": "oba_raw", "objects": "oba_dynamic_filtered", "curves": "icp_nurbs", "icp": "icp", "motion": "motion"}
+_STEPS = {
+    "objects_raw": "oba_raw",
+    "objects": "oba_dynamic_filtered",
+    "curves": "icp_nurbs",
+    "icp": "icp",
+    "motion": "motion",
+    "edges": "edges",
+}
 _PIXELS = ("x_mean", "x_deviation", "y_mean", "y_deviation")
 
 
@@ -87,12 +96,12 @@ def draw_reconstructions(models: Sequence[str]) -> list[Section]:
 
 
 def calibration_scores(paths: Sequence[str]) -> list[dict]:
-    """Rows of the tidy scores: Tables 4.1 and 4.2, and one row per drive in the table `calibration`.
+    """Rows of the tidy scores: Tables 4.1 and 4.2 over all keyframes, and one row per drive in the table `calibration`.
 
     Args:
         paths: `evaluate_calibration/<drive>/scores.csv`, one per drive.
     """
-    rows = []
+    rows, pixels = [], []
     for path in paths:
         drive = Path(path).parent.name
         found = read_csv(path, ("set", "stage", "metric", "value", "unit", "n"), "evaluate_calibration").fillna({"set": "", "stage": ""})
@@ -101,14 +110,54 @@ def calibration_scores(paths: Sequence[str]) -> list[dict]:
             figure = r["value"], r["unit"], r["n"], drive
             if r["stage"] == "final":
                 if r["metric"] in _PIXELS:
-                    rows.append(make_score("nagy_4_1", "proposed", r["set"], r["metric"], *figure, "final"))
+                    pixels.append((("nagy_4_1", "proposed", r["set"], r["metric"]), *figure, "final"))
                 row = f"{drive}/{r['set']}" if is_both else drive
                 rows.append(make_score("calibration", row, "", r["metric"], *figure, "final"))
             elif r["stage"] in _STEPS and r["set"] == "slow" and r["metric"] in _PIXELS:
-                rows.append(make_score("nagy_4_2", _STEPS[r["stage"]], "", r["metric"], *figure, r["stage"]))
+                pixels.append((("nagy_4_2", _STEPS[r["stage"]], "", r["metric"]), *figure, r["stage"]))
             elif r["stage"] in ("", "drive"):
                 rows.append(make_score("calibration", drive, "", r["metric"], *figure, r["stage"] or "keyframes"))
+    return rows + _pool(pixels)
+
+
+def _pool(figures: Sequence[tuple]) -> list[dict]:
+    """Rows of means over the keyframes of all drives, of (place in a table, value, unit, n, drive, method) of each drive."""
+    rows, drives = [], list(dict.fromkeys(drive for *_, drive, _ in figures))
+    dataset = drives[0] if len(drives) == 1 else "all_drives"
+    for place in dict.fromkeys(place for place, *_ in figures):
+        own = [(value, n, unit, method) for p, value, unit, n, _, method in figures if p == place]
+        values, counts, units, methods = zip(*own, strict=True)
+        rows.append(make_score(*place, float(np.average(values, weights=counts)), units[0], sum(counts), dataset, methods[0]))
     return rows
+
+
+def recalibration_scores(paths: Sequence[str]) -> list[dict]:
+    """Rows of the tidy scores: the thesis' range of Fig. 4.12, and rows per drive, tilt and size of the bins in the table `recalibration`.
+
+    Args:
+        paths: `evaluate_recalibration/<drive>/scores.csv`.
+    """
+    rows = []
+    for path in paths:
+        drive = Path(path).parent.name
+        for r in read_csv(path, ("set", "metric", "value", "unit", "n"), "evaluate_recalibration").fillna({"set": ""}).to_dict("records"):
+            figure = r["value"], r["unit"], r["n"], drive, "final"
+            rows.append(make_score("recalibration", f"{drive}/{r['set']}" if r["set"] else drive, "", r["metric"], *figure))
+            axis, _, kind = r["metric"].partition("_")
+            if not r["set"] and kind in ("min", "max"):
+                rows.append(make_score("nagy_text", f"recalibration_{kind}", "proposed", f"{axis}_mean", *figure))
+    return rows
+
+
+def draw_recalibrations(figures: Sequence[str]) -> list[Section]:
+    """A section with Fig. 4.12 of each drive.
+
+    Args:
+        figures: `evaluate_recalibration/<drive>/trials.png`.
+    """
+    caption = "mean difference from the true pixels of all static points, calibration by calibration (Fig. 4.12); a gap: refused."
+    shown = [embed(path, f"{title(Path(path).parent.name)}: {caption}") for path in figures]
+    return [Section("recalibrated", "Calibrated again and again", "", shown)] if shown else []
 
 
 def draw_calibrations(folders: Sequence[str], summaries: Sequence[str]) -> list[Section]:
@@ -134,12 +183,13 @@ def draw_calibrations(folders: Sequence[str], summaries: Sequence[str]) -> list[
     return sections
 
 
-def draw_keyframes(models: Sequence[str], calibrated: Sequence[str], verdicts: Sequence[str]) -> list[Section]:
-    """The sections of `draw_reconstructions` and `draw_calibrations`."""
-    return draw_reconstructions(models) + draw_calibrations(calibrated, verdicts)
+def draw_keyframes(inputs: Mapping[str, Sequence[str]]) -> list[Section]:
+    """The sections of `models`, `calibrated` with their `verdicts`, and `recalibration_figures`."""
+    of_keyframes = draw_reconstructions(inputs["models"]) + draw_calibrations(inputs["calibrated"], inputs["verdicts"])
+    return of_keyframes + draw_recalibrations(inputs["recalibration_figures"])
 
 
 def all_scores(inputs: Mapping[str, Sequence[str]]) -> list[dict]:
-    """Rows of the tidy scores of `reconstructions`, `detections` and `calibrations`, each of the step of its name."""
+    """Rows of the tidy scores of `reconstructions`, `detections`, `calibrations` and `recalibrations`, each of the step of its name."""
     of_images = reconstruction_scores(inputs["reconstructions"]) + detection_scores(inputs["detections"])
-    return of_images + calibration_scores(inputs["calibrations"])
+    return of_images + calibration_scores(inputs["calibrations"]) + recalibration_scores(inputs["recalibrations"])

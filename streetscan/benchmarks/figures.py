@@ -494,6 +494,25 @@ def paths(tracks: dict[str, np.ndarray], true: dict[str, np.ndarray], failed: di
 
 
 @_styled
+def trial_errors(series: dict[str, np.ndarray], heading: str) -> Figure:
+    """Errors of repeated trials, one after the other; a trial without an error leaves a gap.
+
+    Args:
+        series: title to (T,) errors, NaN where there is none.
+        heading: of the axis, with the unit.
+    """
+    figure = _figure(2.8)
+    axes = figure.subplots()
+    for (name, values), colour, marker in zip(series.items(), (OURS, PAPER, THIRD), "os^", strict=False):
+        axes.plot(np.arange(1, len(values) + 1), values, color=colour, marker=marker, markersize=3, linewidth=0.8, label=name)
+    axes.set_ylim(bottom=0)
+    axes.set_xlabel("trial")
+    axes.set_ylabel(heading)
+    figure.legend(loc="outside upper left", ncols=3)
+    return figure
+
+
+@_styled
 def frame_errors(frames: Sequence[int], series: dict[str, np.ndarray], heading: str) -> Figure:
     """Errors frame by frame on a logarithmic axis, a marker of its own for each method.
 

@@ -18,7 +18,7 @@ laying what stands in both clouds on each other seen from above, are refined in 
 other where both see.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import open3d as o3d
@@ -51,6 +51,7 @@ class IcpSettings:
             gives it to half a percent. Large for a cloud without unit.
         max_scale: largest deviation that is accepted (N-230).
         is_scaled: False keeps the scale of the start, as the thesis' standard ICP does.
+        bend_std_deg: deviation of the direction structure from motion has the camera go in, once image edges have corrected it.
         min_pairs: fewer correspondences are no registration.
     """
 
@@ -64,6 +65,7 @@ class IcpSettings:
     scale_std: float = 0.01
     max_scale: float = 0.1
     is_scaled: bool = True
+    bend_std_deg: float = 0.1
     min_pairs: int = 200
 
     def __post_init__(self):
@@ -112,7 +114,7 @@ class Alignment:
 
     Attributes:
         T_sfm_lidar: (4, 4) similarity.
-        source: `objects` (the vote) or `points`.
+        source: `objects` (the vote), `points`, or `nearby`.
         votes: of the peak's cell and its neighbours; 0 for a place found by points.
         n_pairs: objects that agree, likewise.
         overlap: how much of each cloud lies on the other, 0 to 1; NaN before it is measured.
@@ -180,8 +182,18 @@ def search_alignments(lidar: CloudObjects, sfm: CloudObjects, settings: Alignmen
     return found
 
 
+def nearby_alignments(lidar: CloudObjects, sfm: CloudObjects) -> list[Alignment]:
+    """Alignments of sensors that look along the same way and sit near each other, as on any car; level frames have x along the way.
+
+    ASSUME: within a metre, in steps of half a metre. Where traffic hides what stands, neither objects nor the view from above find it.
+    """
+    shifts = np.arange(-2, 3) * 0.5
+    places = [transform((x, y, 0.0)) for x in shifts for y in shifts]
+    return [Alignment(_between(lidar, sfm, T), "nearby") for T in places]
+
+
 def align_clouds(
-    lidar: CloudObjects, sfm: CloudObjects, target: "PlaneTarget", view: View, settings: AlignmentSettings
+    lidar: CloudObjects, sfm: CloudObjects, target: "PlaneTarget", view: View, settings: AlignmentSettings, is_one_way: bool = False
 ) -> Alignment | None:
     """The place where most of both clouds lies on the other; None when there is none at all.
 
@@ -190,11 +202,13 @@ def align_clouds(
         target: the camera's cloud for ICP.
         view: the image, which tells what of the lidar's points the camera's cloud could hold.
         settings: see AlignmentSettings.
+        is_one_way: whether x of both level frames is the way the vehicle goes.
     """
     s = settings
     candidates = vote_alignments(lidar, sfm, s)
     if s.is_searched:
         candidates += search_alignments(lidar, sfm, s)
+        candidates += nearby_alignments(lidar, sfm) if is_one_way else []
     comparison = _Comparison(lidar, sfm, view, s.cube_m)
     for c in candidates:
         c.overlap = comparison.overlap(c.T_sfm_lidar)
@@ -253,12 +267,19 @@ class PlaneTarget:
         points, normals: (N, 3) float64, frame `sfm`.
         noise_m: (N,) expected error of each point.
         tree: of the points.
+        bends: (N,) by how much, along its normal, each point is off for a radian of error of the way the camera goes, to its right.
     """
 
     points: np.ndarray
     normals: np.ndarray
     noise_m: np.ndarray
     tree: cKDTree
+    bends: np.ndarray
+
+    def straightened(self, bend_rad: float) -> "PlaneTarget":
+        """The planes where they are when the way of the camera is wrong by so much."""
+        points = self.points - self.normals * (self.bends * bend_rad)[:, None]
+        return replace(self, points=points, tree=cKDTree(points))
 
 
 def prepare_target(points_sfm: np.ndarray, cameras_sfm: np.ndarray, focal_px: float, settings: IcpSettings = IcpSettings()) -> PlaneTarget:
@@ -271,6 +292,10 @@ def prepare_target(points_sfm: np.ndarray, cameras_sfm: np.ndarray, focal_px: fl
         settings: see IcpSettings.
 
     A depth from images is wrong along the ray, by `noise_px` over the parallax; a plane the ray grazes hardly moves by it.
+
+    What structure from motion knows least is where the camera goes: a turn of all images and a way to the side look nearly alike, and a
+    hundredth of a degree of the one is a tenth of the other. Parallax is measured about the point the camera goes to; when that is off,
+    depths are too large on one side and too small on the other, and the street comes out turned.
     """
     s = settings
     thinned = thin_points(points_sfm, s.target_thin_m)
@@ -283,7 +308,26 @@ def prepare_target(points_sfm: np.ndarray, cameras_sfm: np.ndarray, focal_px: fl
     parallax = np.arccos(np.clip(np.einsum("ijk,ik->ij", rays, rays[:, 0]), -1, 1)).max(axis=1)
     depth_noise = distances[:, 0] * s.noise_px / focal_px / np.maximum(parallax, 1e-4)
     noise = np.hypot(s.noise_m, depth_noise * np.abs(np.einsum("ij,ij->i", normals, rays[:, 0])))
-    return PlaneTarget(thinned, normals, noise, cKDTree(thinned))
+    return PlaneTarget(
+        thinned, normals, noise, cKDTree(thinned), _bends(thinned - cameras_sfm[0], normals, cameras_sfm[-1] - cameras_sfm[0])
+    )
+
+
+# Rays nearer to the way of the camera than this (sine of the angle) have no depth worth speaking of.
+_MIN_SINE = 0.05
+
+
+def _bends(arms: np.ndarray, normals: np.ndarray, way: np.ndarray) -> np.ndarray:
+    """`PlaneTarget.bends` of points at arms (N, 3) from the camera, x to its right and y down, that goes along a way (3,)."""
+    right = np.cross([0.0, 1.0, 0.0], way)
+    if np.linalg.norm(right) < 1e-6:
+        return np.zeros(len(arms))
+    way, right = way / np.linalg.norm(way), right / np.linalg.norm(right)
+    rays = arms / np.maximum(np.linalg.norm(arms, axis=1, keepdims=True), 1e-9)
+    off = np.cross(rays, way)
+    # A depth is the parallax' inverse times the sine of the angle between ray and way.
+    growths = np.einsum("ij,ij->i", off, np.cross(rays, right)) / np.maximum((off**2).sum(axis=1), _MIN_SINE**2)
+    return np.einsum("ij,ij->i", normals, arms) * growths
 
 
 @dataclass
@@ -295,12 +339,22 @@ class Registration:
         n_pairs: correspondences of the last step.
         rmse_m: weighted root mean square of their distances from the planes.
         is_converged: the last steps moved nothing, the scale stayed within its bounds, and there were enough correspondences.
+        response: (7,) turn (rotation vector), shift and growth about the origin of `sfm` that go with a radian of error of the way the
+            camera goes.
+        covariance: (6, 6) of a small turn about the origin of `sfm` (rotation vector, rad) and a shift (m), in its axes, the scale being
+            as uncertain as it is; NaN without enough correspondences.
     """
 
     T_sfm_lidar: np.ndarray
     n_pairs: int
     rmse_m: float
     is_converged: bool
+    response: np.ndarray = field(default_factory=lambda: np.zeros(7))
+    covariance: np.ndarray = field(default_factory=lambda: np.full((6, 6), np.nan))
+
+    def bent(self, bend_rad: float) -> np.ndarray:
+        """T_sfm_lidar (4, 4) as it would be found when the way of the camera is wrong by so much."""
+        return _step(self.response * bend_rad, np.zeros(3)) @ self.T_sfm_lidar
 
 
 def refine_alignment(
@@ -321,9 +375,8 @@ def refine_alignment(
     source = thin_points(points_lidar, s.thin_m)
     n, rmse, last_step = 0, np.nan, np.inf
     for reach in s.reaches_m:
-        near = source
         for _ in range(s.n_iterations):
-            moved = apply(T, near)
+            moved = apply(T, source)
             distances, rows = target.tree.query(moved, distance_upper_bound=reach)
             is_found = np.isfinite(distances)
             n = int(is_found.sum())
@@ -335,12 +388,12 @@ def refine_alignment(
             rmse = float(np.sqrt((weights * errors**2).sum() / weights.sum()))
             step = _solve(moved, target.normals[rows], errors, weights, scale_of(T) if s.is_scaled else None, s.scale_std)
             T = step @ T
-            change = np.abs(apply(step, moved) - moved).max()
-            last_step = change
-            if change < 1e-4:
+            last_step = np.abs(apply(step, moved) - moved).max()
+            if last_step < 1e-4:
                 break
     is_bounded = abs(scale_of(T) - 1) <= s.max_scale
-    return Registration(T, n, rmse, bool(is_bounded and last_step < 0.02))
+    response, covariance = _open_ways(moved, target.normals[rows], target.bends[rows], weights, s)
+    return Registration(T, n, rmse, bool(is_bounded and last_step < 0.02), response, covariance)
 
 
 def _weights(errors: np.ndarray, noise_m: np.ndarray) -> np.ndarray:
@@ -360,8 +413,7 @@ def _solve(moved, normals, errors, weights, scale: float | None, scale_std: floa
     `scale` is the present one, which is drawn towards 1; None keeps it.
     """
     centre = moved.mean(axis=0)
-    arms = moved - centre
-    J = np.concatenate([np.cross(arms, normals), normals, np.einsum("ij,ij->i", arms, normals)[:, None]], axis=1)
+    J = _jacobian(moved - centre, normals)
     J = J if scale is not None else J[:, :6]
     H, b = (J * weights[:, None]).T @ J / _CORRELATED, (J * weights[:, None]).T @ errors / _CORRELATED
     # What the planes do not hold stays where it is.
@@ -369,10 +421,28 @@ def _solve(moved, normals, errors, weights, scale: float | None, scale_std: floa
     if scale is not None:
         H[6, 6] += (scale / scale_std) ** 2
         b[6] += scale * (scale - 1) / scale_std**2
-    x = np.linalg.solve(H, -b)
-    step = transform_of_rotation(Rotation.from_rotvec(x[:3]).as_matrix() * (1 + (x[6] if scale is not None else 0.0)))
+    return _step(np.append(np.linalg.solve(H, -b), np.zeros(7 - len(b))), centre)
+
+
+def _step(x: np.ndarray, centre: np.ndarray) -> np.ndarray:
+    """The similarity (4, 4) of a turn, a shift and a growth (7,) about a point."""
+    step = transform_of_rotation(Rotation.from_rotvec(x[:3]).as_matrix() * (1 + x[6]))
     step[:3, 3] = centre + x[3:6] - step[:3, :3] @ centre
     return step
+
+
+def _jacobian(arms: np.ndarray, normals: np.ndarray) -> np.ndarray:
+    """How distances from planes change with a turn (rotation vector), a shift and a growth about where the arms begin: (N, 7)."""
+    return np.concatenate([np.cross(arms, normals), normals, np.einsum("ij,ij->i", arms, normals)[:, None]], axis=1)
+
+
+def _open_ways(moved, normals, bends, weights, s: IcpSettings) -> tuple[np.ndarray, np.ndarray]:
+    """`Registration.response` and `covariance`; a direction no plane holds is known to a kilometre."""
+    J = _jacobian(moved, normals)
+    H = (J * weights[:, None]).T @ J / _CORRELATED + np.diag([*np.full(3, 1e-2), *np.full(3, 1e-6), s.scale_std**-2])
+    response = -np.linalg.solve(H, (J * weights[:, None]).T @ bends / _CORRELATED)
+    off = np.radians(s.bend_std_deg) * response
+    return response, (np.linalg.inv(H) + np.outer(off, off))[:6, :6]
 
 
 def scale_of(T: np.ndarray) -> float:

@@ -32,8 +32,13 @@ N_FEATURES = 10
 _MOVING_MPS = 0.1
 COLUMNS = (
     "keyframe", "status", "stage", "speed_kmh", "x_px", "x_deviation_px", "y_px", "y_deviation_px", "all_x_px", "all_x_deviation_px",
-    "all_y_px", "all_y_deviation_px", "n_points",
+    "all_y_px", "all_y_deviation_px", "n_points", "median_distance_m", "edge_margin_px", "sigma_x_px", "sigma_y_px",
 )  # fmt: skip
+# What the gates look at, of COLUMNS.
+_GATES = ("median_distance_m", "edge_margin_px", "sigma_x_px", "sigma_y_px")
+# ASSUME: a keyframe is truly good when no axis' mean error over all static points is above this; the thesis' projections are at 2.6 to 3.1.
+GOOD_PX = 2.0
+_GATE_SHARE = 0.95
 TRANSFORM_COLUMNS = ("keyframe", "status", "rotation_deg", "translation_m", "forward_m", "offset_error_s", "sigma_m", "sigma_deg")
 
 
@@ -127,6 +132,8 @@ def score_keyframe(calibration: dict, keyframe: int, truth: TruePixels | None) -
                     # A point that comes to lie behind the camera has no error one could average: the keyframe then has none.
                     row |= {f"{prefix}{name}_px": float(own[:, axis].mean()), f"{prefix}{name}_deviation_px": float(own[:, axis].std())}
             row["n_points"] = len(errors)
+        if stage == "final":
+            row |= {name: calibration["figures"].get(name, np.nan) for name in _GATES}
         rows.append(row)
     return rows
 
@@ -164,7 +171,8 @@ def summarize_errors(errors: pd.DataFrame, transforms: pd.DataFrame) -> pd.DataF
         errors: rows of `score_keyframe`.
         transforms: rows of `score_transform`, that of the drive named `drive`.
     Returns:
-        the share of accepted keyframes, their mean pixel errors by speed and stage, and the errors of the drive's transform.
+        the share of accepted keyframes, their mean pixel errors by speed and stage, the errors of the drive's transform, and of what the
+        gates look at the limits that let 95 % of the truly good keyframes pass (stage `gate`).
     """
     rows = []
     finals = errors.drop_duplicates("keyframe")
@@ -181,6 +189,7 @@ def summarize_errors(errors: pd.DataFrame, transforms: pd.DataFrame) -> pd.DataF
                     value, deviation = own[f"{prefix}{axis}_px"].mean(), own[f"{prefix}{axis}_deviation_px"].mean()
                     rows.append((name, stage, f"{prefix}{axis}_mean", float(value), "px", len(own)))
                     rows.append((name, stage, f"{prefix}{axis}_deviation", float(deviation), "px", len(own)))
+    rows += _gates_of(errors)
     for row in transforms[transforms["keyframe"] == "drive"].to_dict("records"):
         for column, metric, unit in (
             ("rotation_deg", "rotation", "deg"),
@@ -191,3 +200,15 @@ def summarize_errors(errors: pd.DataFrame, transforms: pd.DataFrame) -> pd.DataF
         ):
             rows.append(("", "drive", metric, row[column], unit, int((finals["status"] == "ok").sum())))
     return pd.DataFrame(rows, columns=["set", "stage", "metric", "value", "unit", "n"])
+
+
+def _gates_of(errors: pd.DataFrame) -> list[tuple]:
+    """Rows of the limits: from above for distances and deviations, from below for the margin of the edges."""
+    final = errors[errors["stage"] == "final"]
+    good = final[(final["all_x_px"] <= GOOD_PX) & (final["all_y_px"] <= GOOD_PX)]
+    rows = [("", "gate", "n_good", float(len(good)), "", len(final))]
+    for name in _GATES:
+        share = 1 - _GATE_SHARE if name == "edge_margin_px" else _GATE_SHARE
+        values = good[name].dropna()
+        rows.append(("", "gate", name, float(values.quantile(share)) if len(values) else np.nan, name.rsplit("_", 1)[1], len(values)))
+    return rows

@@ -29,7 +29,8 @@ from streetscan.registration.odometry import FramePose
 # Numbers of a keyframe in its row; those its status did not let be found are empty.
 FIGURES = (
     "n_lidar_objects", "n_sfm_objects", "n_lidar_voxels", "n_sfm_voxels", "n_lidar_columns", "n_matched", "n_icp", "icp_rmse_m", "scale",
-    "median_distance_m", "hausdorff_m", "edge_px", "edge_before_px", "edge_margin_px", "distance_before_m", "distance_after_m",
+    "bend_deg", "median_distance_m", "hausdorff_m", "sigma_x_px", "sigma_y_px", "edge_px", "edge_before_px", "edge_margin_px",
+    "distance_before_m", "distance_after_m",
 )  # fmt: skip
 SECONDS = ("raw", "objects", "alignment", "icp", "curves", "motion", "quality")
 _MEANING = {
@@ -37,6 +38,7 @@ _MEANING = {
     "T_camera_lidar": "p_camera = T_camera_lidar @ p_lidar, sensors as mounted, metres",
     "T_camera_stamp": "the same for the lidar at its stamp and the camera at the image's: with the motion between them",
 }
+_COVARIANCE = "of T_camera_stamp as far as the clouds tell: rotation vector (rad) and shift (m) in the camera's axes"
 
 
 def read_clouds(
@@ -115,6 +117,8 @@ def write_calibration(path: str | Path, made: KeyframeCalibration, keyframe: Key
     for name, meaning in _MEANING.items():
         value = getattr(made, name)
         found |= {name: None if value is None else value.tolist(), f"{name}_is": meaning}
+    is_known = np.isfinite(made.covariance).all()
+    found |= {"covariance": made.covariance.tolist() if is_known else None, "covariance_is": _COVARIANCE}
     found["stages"] = {name: made.stages[name].tolist() for name in STAGES if name in made.stages}
     if len(made.residuals_px):
         lengths = np.hypot(*made.residuals_px.T)
@@ -141,7 +145,8 @@ def read_results(
         T = None if found["T_camera_stamp"] is None else np.array(found["T_camera_stamp"])
         (evidence,) = load_npz(evidence_path, ("evidence",), "calibrate_keyframe")
         motion = motion_of(poses, found["lidar_time_ns"], found["image_time_ns"]) if T is not None else None
-        results.append(KeyframeResult(keyframe.index, found["status"], T, motion, evidence))
+        covariance = np.zeros((6, 6)) if found["covariance"] is None else np.array(found["covariance"])
+        results.append(KeyframeResult(keyframe.index, found["status"], T, motion, evidence, covariance))
     return results
 
 

@@ -5,8 +5,9 @@ the stamps' clocks differ, the vehicle moved in between by that much more. Keyfr
 are alike it cannot be told from a shift of the camera along the road, stays at zero, and its deviation says so.
 
 ASSUME: the offset is a constant below 50 ms; before anything is known, 5 ms either way are likely.
-ASSUME: few keyframes do not tell their own scatter; it is mixed with that of single keyframes on the training drives (`keyframe_m`,
-`keyframe_deg`), which counts as `n_known` keyframes.
+ASSUME: what is wrong with a keyframe is what its clouds leave open, and errors of structure from motion that are alike in all directions
+(`keyframe_m`, `keyframe_deg`, of single keyframes on the training drives). Few keyframes do not tell their own scatter: it is mixed with
+that expectation, which counts as `n_known` keyframes.
 """
 
 from collections.abc import Sequence
@@ -27,10 +28,11 @@ class DriveCalibrationSettings:
 
     Attributes:
         offset_std_s: expected size of the time offset.
-        keyframe_m, keyframe_deg: deviation of one keyframe along and about each axis.
+        keyframe_m, keyframe_deg: deviation of one keyframe along and about each axis, beside what its clouds leave open.
         n_known: keyframes they count as.
         n_bootstrap: samples of keyframes drawn for the bootstrap.
-        max_distance_m: evidence farther than this from the planes of a keyframe says that the calibration in force is no longer right.
+        max_deviation: a keyframe that is off by more deviations, on the mean of its six, is wrong, or the mounting has moved. ASSUME: 1.8;
+            one in a thousand is as far off by chance.
         min_gain: share by which a keyframe must lie nearer than the calibration in force to replace it.
     """
 
@@ -39,7 +41,7 @@ class DriveCalibrationSettings:
     keyframe_deg: float = 0.1
     n_known: float = 3.0
     n_bootstrap: int = 200
-    max_distance_m: float = 0.08
+    max_deviation: float = 1.8
     min_gain: float = 0.02
 
 
@@ -52,6 +54,7 @@ class KeyframeResult:
         T_camera_stamp: (4, 4) of its calibration, or None.
         motion: of the lidar, or None.
         evidence: (P, 9) of its calibration.
+        covariance: (6, 6) of T_camera_stamp as far as its clouds tell: a turn and a shift in the camera's axes.
     """
 
     index: int
@@ -59,6 +62,7 @@ class KeyframeResult:
     T_camera_stamp: np.ndarray | None
     motion: LidarMotion | None
     evidence: np.ndarray
+    covariance: np.ndarray = field(default_factory=lambda: np.zeros((6, 6)))
 
     def T_camera_lidar(self, time_offset_s: float = 0.0) -> np.ndarray:
         """(4, 4) of the sensors as mounted, for a time offset of the images' stamps."""
@@ -98,29 +102,70 @@ def combine_keyframes(
     """The calibration that accepted keyframes agree on; one that disagrees loses its weight.
 
     Args:
-        keyframes: all of the drive.
+        keyframes: of one mounting.
         settings: see DriveCalibrationSettings.
         seed: of the bootstrap.
     """
     accepted = [k for k in keyframes if k.status == "ok"]
     if not accepted:
         return DriveCalibration("no_keyframes")
-    poses = np.array([k.T_camera_lidar() for k in accepted])
-    # By how much each keyframe's camera moves for a second of offset, in the camera's axes.
-    velocities = [np.zeros(3) if k.motion is None else k.motion.velocity_at_image() for k in accepted]
-    ways = np.einsum("kij,kj->ki", poses[:, :3, :3], np.array(velocities))
-    fitted = _fit(poses, ways, settings)
+    inputs = _inputs(accepted, settings)
+    fitted = _fit(*inputs, settings)
     covariance = fitted.covariance
     if len(accepted) > 2:
         rng = np.random.default_rng(seed)
         drawn = [rng.integers(0, len(accepted), len(accepted)) for _ in range(settings.n_bootstrap)]
-        samples = np.array([_difference(_fit(poses[rows], ways[rows], settings), fitted) for rows in drawn])
+        samples = np.array([_difference(_fit(*(values[rows] for values in inputs), settings), fitted) for rows in drawn])
         # The larger of both: spread knows nothing of outliers' leverage, the bootstrap nothing of what few keyframes did not meet.
         bootstrap = np.cov(samples.T)
         larger = np.sqrt(np.maximum(np.diag(bootstrap) / np.diag(covariance), 1.0))
         covariance = covariance * np.outer(larger, larger)
     numbers = np.array([k.index for k in accepted])
     return DriveCalibration("ok", fitted.T, fitted.offset_s, covariance, fitted.weights, numbers)
+
+
+def _inputs(accepted: Sequence[KeyframeResult], s: DriveCalibrationSettings) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Poses (K, 4, 4), by how much each keyframe's camera moves for a second of offset (K, 3), covariances (K, 6, 6); camera's axes."""
+    poses = np.array([k.T_camera_lidar() for k in accepted])
+    velocities = [np.zeros(3) if k.motion is None else k.motion.velocity_at_image() for k in accepted]
+    ways = np.einsum("kij,kj->ki", poses[:, :3, :3], np.array(velocities))
+    common = np.diag([np.radians(s.keyframe_deg) ** 2] * 3 + [s.keyframe_m**2] * 3)
+    return poses, ways, np.array([k.covariance for k in accepted]) + common
+
+
+def keyframes_in_force(
+    keyframes: Sequence[KeyframeResult], settings: DriveCalibrationSettings = DriveCalibrationSettings()
+) -> tuple[list[KeyframeResult], np.ndarray]:
+    """The accepted keyframes of the mounting that holds at the end, and (K,) by how many deviations each was off the mounting before it.
+
+    A keyframe that is too far off is set aside; when the next accepted one is off too and agrees with it, the mounting has moved, and the
+    two begin a new one. Otherwise it was a wrong keyframe.
+    """
+    held: list[KeyframeResult] = []
+    aside: list[KeyframeResult] = []
+    deviations = np.full(len(keyframes), np.nan)
+    for row, k in enumerate(keyframes):
+        if k.status != "ok":
+            continue
+        if held:
+            deviations[row] = _deviation(k, held, settings)
+        if not held or deviations[row] <= settings.max_deviation:
+            held, aside = [*held, k], []
+        elif aside and _deviation(k, aside, settings) <= settings.max_deviation:
+            held, aside = [*aside, k], []
+        else:
+            aside = [k]
+    return held, deviations
+
+
+def _deviation(keyframe: KeyframeResult, held: Sequence[KeyframeResult], s: DriveCalibrationSettings) -> float:
+    """By how many deviations, on the mean of its six, a keyframe is off what others agree on."""
+    poses, ways, covariances = _inputs([*held, keyframe], s)
+    fitted = _fit(poses[:-1], ways[:-1], covariances[:-1], s)
+    error = _errors(poses[-1:], fitted.T)[0] - np.append(np.zeros(3), ways[-1] * fitted.offset_s)
+    back = np.linalg.inv(_to_lidar(fitted.T))
+    own = covariances[-1] + (back @ fitted.covariance @ back.T)[:6, :6]
+    return float(np.sqrt(error @ np.linalg.solve(own, error) / 6))
 
 
 @dataclass
@@ -131,40 +176,67 @@ class _Fit:
     weights: np.ndarray
 
 
-def _fit(poses: np.ndarray, ways: np.ndarray, s: DriveCalibrationSettings) -> _Fit:
-    """Weighted mean of poses (K, 4, 4) and a common offset along their ways (K, 3); Tukey's weights, from the median on."""
-    n, known_m, known_rad = len(poses), s.keyframe_m, np.radians(s.keyframe_deg)
-    rotations = Rotation.from_matrix(poses[:, :3, :3])
-    weights = np.ones(n)
-    position, offset, mean = np.median(poses[:, :3, 3], axis=0), 0.0, rotations.mean()
-    for iteration in range(10):
-        if iteration:
-            mean = rotations.mean(weights)
-            A = np.concatenate([np.tile(np.eye(3), (n, 1)), ways.reshape(-1, 1)], axis=1)
-            w = np.repeat(weights, 3) / known_m**2
-            H = (A * w[:, None]).T @ A + np.diag([0, 0, 0, 1 / s.offset_std_s**2])
-            solution = np.linalg.solve(H, (A * w[:, None]).T @ poses[:, :3, 3].ravel())
-            position, offset = solution[:3], float(solution[3])
-        shifts = poses[:, :3, 3] - position - ways * offset
-        turns = (mean.inv() * rotations).as_rotvec()
-        spread = np.sqrt((shifts / known_m) ** 2 + (turns / known_rad) ** 2).max(axis=1)
-        limit = 3.0 * max(1.0, float(np.median(spread)))
+def _fit(poses: np.ndarray, ways: np.ndarray, covariances: np.ndarray, s: DriveCalibrationSettings) -> _Fit:
+    """Weighted mean of poses (K, 4, 4) and a common offset along their ways (K, 3); Tukey's weights, from the median on.
+
+    `covariances` (K, 6, 6) are of a turn and a shift in the camera's axes: a keyframe counts in the directions it knows.
+    """
+    n, weights, offset = len(poses), np.ones(len(poses)), 0.0
+    T = transform_of_rotation(Rotation.from_matrix(poses[:, :3, :3]).mean().as_matrix(), np.median(poses[:, :3, 3], axis=0))
+    information = np.linalg.inv(covariances)
+    # How turn, shift and offset show in a keyframe's turn and shift.
+    A = np.tile(np.eye(6, 7), (n, 1, 1))
+    A[:, 3:, 6] = ways
+    for _ in range(12):
+        errors = _errors(poses, T) - A[:, :, 6] * offset
+        spread = np.sqrt(_squares(errors, information))
         # A keyframe never loses all its weight: two that disagree would leave none.
-        weights = np.maximum(np.clip(1 - (spread / limit) ** 2, 0, None) ** 2, 1e-3)
-    total = weights.sum()
-    mixed = [
-        np.sqrt((s.n_known * known**2 + (weights[:, None] * errors**2).sum(axis=0)) / (s.n_known + total))
-        for known, errors in ((known_m, shifts), (known_rad, turns))
-    ]
-    A = np.concatenate([np.tile(np.eye(3), (n, 1)), ways.reshape(-1, 1)], axis=1)
-    w = np.repeat(weights, 3) / np.tile(mixed[0], n) ** 2
-    H = (A * w[:, None]).T @ A + np.diag([0, 0, 0, 1 / s.offset_std_s**2])
-    of_shift = np.linalg.inv(H)
-    covariance = np.zeros((7, 7))
-    rows = np.array([0, 1, 2, 6])
-    covariance[np.ix_(rows, rows)] = of_shift
-    covariance[3:6, 3:6] = np.diag(mixed[1] ** 2 / total)
-    return _Fit(transform_of_rotation(mean.as_matrix(), position), offset, covariance, weights)
+        weights = np.maximum(np.clip(1 - (spread / (4.0 * max(1.0, float(np.median(spread))))) ** 2, 0, None) ** 2, 1e-3)
+        AW = A.transpose(0, 2, 1) @ (information * weights[:, None, None])
+        H, b = (AW @ A).sum(axis=0), (AW @ errors[:, :, None]).sum(axis=0)[:, 0]
+        H[6, 6] += 1 / s.offset_std_s**2
+        b[6] -= offset / s.offset_std_s**2
+        step = np.linalg.solve(H, b)
+        T, offset = _moved(T, step[:6]), offset + float(step[6])
+        if np.abs(step).max() < 1e-7:
+            break
+    errors = _errors(poses, T) - A[:, :, 6] * offset
+    squares = weights @ _squares(errors, information)
+    # The offset's own deviation is no scatter of the keyframes.
+    scatter = (s.n_known + squares) / (s.n_known + weights.sum())
+    inverse = np.linalg.inv((H - np.diag([0] * 6 + [1 / s.offset_std_s**2])) / scatter + np.diag([0] * 6 + [1 / s.offset_std_s**2]))
+    change = _to_lidar(T)
+    return _Fit(T, offset, change @ inverse @ change.T, weights)
+
+
+def _to_lidar(T: np.ndarray) -> np.ndarray:
+    """(7, 7) from turn and shift in the camera's axes and offset to x, y, z of T, a turn about the lidar's axes and offset."""
+    change = np.zeros((7, 7))
+    change[:3, :3], change[:3, 3:6] = -_cross(T[:3, 3]), np.eye(3)
+    change[3:6, :3] = T[:3, :3].T
+    change[6, 6] = 1.0
+    return change
+
+
+def _squares(errors: np.ndarray, information: np.ndarray) -> np.ndarray:
+    """(K,) mean squares of errors (K, 6) in their deviations."""
+    return (errors[:, None] @ information @ errors[:, :, None])[:, 0, 0] / 6
+
+
+def _errors(poses: np.ndarray, T: np.ndarray) -> np.ndarray:
+    """(K, 6) turns and shifts in the camera's axes that make `T` the poses (K, 4, 4)."""
+    turns = Rotation.from_matrix(poses[:, :3, :3] @ T[:3, :3].T)
+    return np.concatenate([turns.as_rotvec(), poses[:, :3, 3] - turns.apply(T[:3, 3])], axis=1)
+
+
+def _moved(T: np.ndarray, step: np.ndarray) -> np.ndarray:
+    """T (4, 4) after a turn and a shift (6,) in the camera's axes."""
+    return transform_of_rotation(Rotation.from_rotvec(step[:3]).as_matrix(), step[3:]) @ T
+
+
+def _cross(v: np.ndarray) -> np.ndarray:
+    """The matrix (3, 3) that multiplies by v from the left: _cross(v) @ w = v x w."""
+    return np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]])
 
 
 def _difference(a: _Fit, b: _Fit) -> np.ndarray:
@@ -177,11 +249,13 @@ def follow_drive(keyframes: Sequence[KeyframeResult], settings: DriveCalibration
     """Which calibration is in force after each keyframe, as in a drive that goes on (N-213, N-233).
 
     Columns: `keyframe`, `status`; `distance_before_m` and `distance_m` of the keyframe's evidence under the calibration in force and under
-    its own; `is_shifted`, whether the one in force no longer fits, so that the mounting must have moved; `action` (`kept`, `replaced`,
-    `none`); `in_force`, the keyframe whose calibration is in force afterwards, or -1.
+    its own; `deviation` from the mounting that held so far (see `keyframes_in_force`); `is_shifted`, whether it is too large, so that the
+    mounting must have moved or the keyframe is wrong; `action` (`kept`, `replaced`, `none`); `in_force`, the keyframe whose calibration is
+    in force afterwards, or -1.
     """
     s, rows, in_force = settings, [], None
-    for k in keyframes:
+    _, deviations = keyframes_in_force(keyframes, settings)
+    for k, deviation in zip(keyframes, deviations, strict=True):
         before = after = np.nan
         action = "none" if in_force is None else "kept"
         if k.status == "ok":
@@ -190,6 +264,7 @@ def follow_drive(keyframes: Sequence[KeyframeResult], settings: DriveCalibration
                 before = evidence_distance(k.evidence, k.as_stamped(in_force.T_camera_lidar()))
             if in_force is None or after < (1 - s.min_gain) * before:
                 action, in_force = "replaced", k
-        is_shifted = bool(np.isfinite(before) and before > s.max_distance_m)
-        rows.append((f"{k.index:02d}", k.status, before, after, is_shifted, action, -1 if in_force is None else in_force.index))
-    return pd.DataFrame(rows, columns=["keyframe", "status", "distance_before_m", "distance_m", "is_shifted", "action", "in_force"])
+        is_shifted = bool(deviation > s.max_deviation)
+        rows.append((f"{k.index:02d}", k.status, before, after, deviation, is_shifted, action, -1 if in_force is None else in_force.index))
+    columns = ["keyframe", "status", "distance_before_m", "distance_m", "deviation", "is_shifted", "action", "in_force"]
+    return pd.DataFrame(rows, columns=columns)

@@ -23,6 +23,7 @@ from streetscan.calibration.alignment import (
     AlignmentSettings,
     ControlPoints,
     PlaneTarget,
+    Registration,
     align_clouds,
     match_objects,
     prepare_target,
@@ -33,13 +34,13 @@ from streetscan.calibration.control_curves import ControlCurves, fit_curves
 from streetscan.calibration.linear_projection import LinearProjection, View, camera_of, fit_projection, linear_of
 from streetscan.calibration.motion import LidarMotion
 from streetscan.calibration.objects import CloudObjects, ObjectSettings, count_columns, find_level, find_objects
-from streetscan.calibration.quality import EdgeCheck, QualitySettings, hausdorff_distance, plane_distances
+from streetscan.calibration.quality import EdgeCheck, QualitySettings, find_bend, hausdorff_distance, plane_distances
 from streetscan.errors import BadInput
 from streetscan.geometry import apply, invert, transform, transform_of_rotation
 
 # The stages whose projections are kept, in their order.
-STAGES = ("objects_raw", "objects", "icp", "curves", "motion")
-FINALS = ("curves", "motion")
+STAGES = ("objects_raw", "objects", "icp", "curves", "motion", "edges")
+FINALS = ("curves", "motion", "edges")
 # Camera axes to forward, left, up.
 _UPRIGHT = transform_of_rotation(np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]]))
 # Points of the evidence at most, and of the fit of the raw projection.
@@ -55,8 +56,11 @@ class CalibrationSettings:
         motion_turn_deg: the turn that the motion tells is searched this far to either side; 180 leaves the motion out, as the thesis does.
         n_bins: bins of a segment of the control curves.
         range_m: lidar points farther away do not take part in ICP.
-        final: stage that gives `projection`: `motion`, or `curves` as in the thesis; without motion it is `curves` anyway.
+        final: stage that gives `projection`: `edges`, `motion`, or `curves` as in the thesis; without motion it is `curves` anyway.
+        max_bend_deg: largest error of the way of the camera that image edges may correct, in the stage `edges`.
         with_raw: align without removing moving things too, for the first row of Table 4.2.
+        with_parked: let points of things that could move take part in ICP. ASSUME: what lies in both clouds at the same place stood still;
+            a street full of parked cars has little else, and what moves comes out of structure from motion at another place.
     """
 
     objects: ObjectSettings = field(default_factory=ObjectSettings)
@@ -65,8 +69,10 @@ class CalibrationSettings:
     motion_turn_deg: float = 15.0
     n_bins: int = 10
     range_m: float = 40.0
-    final: str = "motion"
+    final: str = "edges"
+    max_bend_deg: float = 2.5
     with_raw: bool = True
+    with_parked: bool = True
 
     def __post_init__(self):
         if self.final not in FINALS:
@@ -120,6 +126,7 @@ class KeyframeCalibration:
         projection: (3, 4) of the raw lidar frame; given for refused ones too, where there is one.
         T_camera_lidar: (4, 4) rigid, of the sensors on the vehicle, the image's stamp taken as it is.
         T_camera_stamp: (4, 4) the same before the motion between the stamps was taken out.
+        covariance: (6, 6) of T_camera_stamp as far as the clouds tell: a turn (rotation vector, rad) and a shift (m) in the camera's axes.
         stages: name of a stage to its projection (3, 4).
         residuals_px: (N, 2) of the points the final projection was fitted to.
         figures: numbers by name, for the table.
@@ -135,6 +142,7 @@ class KeyframeCalibration:
     projection: np.ndarray | None = None
     T_camera_lidar: np.ndarray | None = None
     T_camera_stamp: np.ndarray | None = None
+    covariance: np.ndarray = field(default_factory=lambda: np.full((6, 6), np.nan))
     stages: dict[str, np.ndarray] = field(default_factory=dict)
     residuals_px: np.ndarray = field(default_factory=lambda: np.empty((0, 2)))
     figures: dict[str, float] = field(default_factory=dict)
@@ -163,16 +171,18 @@ def _calibrate(c: KeyframeClouds, s: CalibrationSettings, made: KeyframeCalibrat
     if s.with_raw and (c.is_dynamic_sfm.any() or not c.is_static.all()):
         _align_raw(c, s, a, made)
         clock.stop("raw")
-    made.lidar, made.sfm, target = _prepare(c.points_lidar[c.is_static], c.points_sfm[~c.is_dynamic_sfm], c, s)
+    made.lidar, made.sfm = prepare_objects(c.points_lidar[c.is_static], c.points_sfm[~c.is_dynamic_sfm], c, s)
+    takes_part = c.is_static | s.with_parked
+    target = prepare_target(c.points_sfm[~c.is_dynamic_sfm | s.with_parked], c.cameras_sfm, view.K[0, 0], a.icp)
     made.figures |= {f"n_{name}_objects": len(cloud) for name, cloud in (("lidar", made.lidar), ("sfm", made.sfm))}
     made.figures |= {f"n_{name}_voxels": len(cloud.voxels) for name, cloud in (("lidar", made.lidar), ("sfm", made.sfm))}
     made.figures["n_lidar_columns"] = count_columns(made.lidar.objects)
     clock.stop("objects")
-    made.alignment = align_clouds(made.lidar, made.sfm, target, view, a)
+    made.alignment = align_clouds(made.lidar, made.sfm, target, view, a, _ways(c, s) is not None)
     clock.stop("alignment")
     _check_alignment(made.alignment, a)
     made.stages["objects"] = linear_of(view.T_camera_sfm @ made.alignment.T_sfm_lidar, view.K)
-    raw = refine_alignment(_near(c.points_lidar, c.is_static, s), target, made.alignment.T_sfm_lidar, a.icp)
+    raw = refine_alignment(_near(c.points_lidar, takes_part, s), target, made.alignment.T_sfm_lidar, a.icp)
     made.stages["icp"] = linear_of(view.T_camera_sfm @ raw.T_sfm_lidar, view.K)
     clock.stop("icp")
     made.control = match_objects(made.lidar, target, raw.T_sfm_lidar)
@@ -181,12 +191,17 @@ def _calibrate(c: KeyframeClouds, s: CalibrationSettings, made: KeyframeCalibrat
     points, registered = c.points_lidar, raw
     if c.motion is not None and c.time_offset_s is not None:
         points = c.motion.deskew(c.points_lidar, c.time_offset_s)
-        registered = refine_alignment(_near(points, c.is_static, s), target, raw.T_sfm_lidar, a.icp)
+        registered = refine_alignment(_near(points, takes_part, s), target, raw.T_sfm_lidar, a.icp)
         moving = _fit_raw(c, points, registered.T_sfm_lidar)
         if moving is not None:
             made.stages["motion"] = moving.projection
-            final = moving if s.final == "motion" or final is None else final
-    made.T_camera_stamp = camera_of(view, registered.T_sfm_lidar)
+            final = moving if s.final != "curves" or final is None else final
+        if s.final == "edges" and registered.is_converged:
+            registered, target = _straighten(c, s, points, _near(points, takes_part, s), registered, target, made)
+            moving = _fit_raw(c, points, registered.T_sfm_lidar)
+            if moving is not None:
+                made.stages["edges"], final = moving.projection, moving
+    made.T_camera_stamp, made.covariance = camera_of(view, registered.T_sfm_lidar), _in_camera(registered.covariance, view)
     made.T_camera_lidar = made.T_camera_stamp if c.motion is None else c.motion.to_image(made.T_camera_stamp)
     made.figures |= {"icp_rmse_m": registered.rmse_m, "n_icp": registered.n_pairs, "scale": 1 / scale_of(registered.T_sfm_lidar)}
     made.figures["n_matched"] = len(made.control.objects)
@@ -199,6 +214,39 @@ def _calibrate(c: KeyframeClouds, s: CalibrationSettings, made: KeyframeCalibrat
     _measure(c, s, made, points, registered.T_sfm_lidar, target)
     clock.stop("quality")
     _judge(made, s.quality)
+
+
+def _straighten(
+    c: KeyframeClouds, s: CalibrationSettings, points: np.ndarray, near: np.ndarray, registered: Registration, target: PlaneTarget,
+    made: KeyframeCalibration,
+) -> tuple[Registration, PlaneTarget]:  # fmt: skip
+    """The registration after the way of the camera is corrected by image edges, and the camera's cloud as it then is.
+
+    Beyond the thesis. Structure from motion hardly tells a turn of all images from a way to the side; the street then comes out turned
+    against the images, and no registration of clouds can see it. In the image itself the sides of posts and houses do.
+    """
+    check, bend = EdgeCheck(c.image, points, s.quality), 0.0
+    for share in _STRAIGHTENED:
+        found = find_bend(
+            check,
+            lambda e, r=registered: linear_of(c.view.T_camera_sfm @ r.bent(e), c.view.K),
+            np.radians(share * s.max_bend_deg),
+            _BEND_STEP_RAD,
+        )
+        bend, target = bend + found, target.straightened(found)
+        registered = refine_alignment(near, target, registered.bent(found), s.alignment.icp)
+    made.figures["bend_deg"] = float(np.degrees(bend))
+    return registered, target
+
+
+# Rounds of correcting the way of the camera, by the share of the largest error that is searched; and step of the search.
+_STRAIGHTENED, _BEND_STEP_RAD = (1.0, 0.2), np.radians(0.05)
+
+
+def _in_camera(covariance: np.ndarray, view: View) -> np.ndarray:
+    """A registration's covariance in the axes of the camera. ASSUME: the frame `sfm` begins at the camera, but for T1's small error."""
+    turn = np.kron(np.eye(2), view.T_camera_sfm[:3, :3])
+    return turn @ covariance @ turn.T
 
 
 def _near(points: np.ndarray, is_static: np.ndarray, s: CalibrationSettings) -> np.ndarray:
@@ -215,10 +263,14 @@ class _Clock:
         self._seconds[stage], self._last = now - self._last, now
 
 
-def _prepare(
+def prepare_objects(
     points_lidar: np.ndarray, points_sfm: np.ndarray, c: KeyframeClouds, s: CalibrationSettings
-) -> tuple[CloudObjects, CloudObjects, PlaneTarget]:
-    """Objects of both clouds, each level, and the camera's cloud for ICP."""
+) -> tuple[CloudObjects, CloudObjects]:
+    """Objects of both clouds, each level, x being the way the vehicle goes where it is known.
+
+    Raises:
+        CalibrationFailed: a cloud has no ground or no object.
+    """
     found, ways = [], _ways(c, s) or (None, None)
     clouds = ("lidar", points_lidar, np.eye(4)), ("camera's", points_sfm, _UPRIGHT @ c.view.T_camera_sfm)
     for (name, cloud, T_guess), way in zip(clouds, ways, strict=True):
@@ -233,7 +285,7 @@ def _prepare(
         found.append(find_objects(cloud, T, s.objects))
         if len(found[-1]) == 0:
             raise CalibrationFailed("too_few_objects", f"no object in the {name} cloud within {s.objects.range_m:g} m")
-    return *found, prepare_target(points_sfm, c.cameras_sfm, c.view.K[0, 0], s.alignment.icp)
+    return tuple(found)
 
 
 # A shorter way of the vehicle tells no direction.
@@ -266,10 +318,11 @@ def _heading(T_level_cloud: np.ndarray, way: np.ndarray) -> float:
 def _align_raw(c: KeyframeClouds, s: CalibrationSettings, a: AlignmentSettings, made: KeyframeCalibration) -> None:
     """The alignment of the clouds with all that moves in them; a stage for the tables alone, and none where it finds nothing."""
     try:
-        lidar, sfm, target = _prepare(c.points_lidar, c.points_sfm, c, s)
+        lidar, sfm = prepare_objects(c.points_lidar, c.points_sfm, c, s)
     except CalibrationFailed:
         return
-    found = align_clouds(lidar, sfm, target, c.view, a)
+    target = prepare_target(c.points_sfm, c.cameras_sfm, c.view.K[0, 0], a.icp)
+    found = align_clouds(lidar, sfm, target, c.view, a, _ways(c, s) is not None)
     if found is not None:
         made.stages["objects_raw"] = linear_of(c.view.T_camera_sfm @ found.T_sfm_lidar, c.view.K)
 
@@ -316,6 +369,8 @@ def _measure(c: KeyframeClouds, s: CalibrationSettings, made: KeyframeCalibratio
     distances = plane_distances(moved, target, s.alignment.icp.reaches_m[1])
     made.figures["median_distance_m"] = float(np.nanmedian(distances)) if np.isfinite(distances).any() else float("nan")
     seen = c.view.sees(apply(T_sfm_lidar, points)) & c.is_static & (np.linalg.norm(points, axis=1) < s.objects.range_m)
+    sigma_x, sigma_y = _pixel_sigmas(apply(made.T_camera_stamp, points[seen]), c.view.K, made.covariance)
+    made.figures |= {"sigma_x_px": float(sigma_x), "sigma_y_px": float(sigma_y)}
     made.figures["hausdorff_m"] = hausdorff_distance(apply(T_sfm_lidar, points[seen][::5]), target.points[::5])
     found = np.isfinite(distances)
     rows = np.flatnonzero(found)[:: max(1, found.sum() // _N_EVIDENCE)]
@@ -331,6 +386,18 @@ def _measure(c: KeyframeClouds, s: CalibrationSettings, made: KeyframeCalibratio
         made.figures["edge_before_px"] = check.distance_px(linear_of(before, c.view.K))
         made.figures["distance_before_m"] = evidence_distance(made.evidence, before)
     made.figures["distance_after_m"] = evidence_distance(made.evidence, made.T_camera_stamp)
+
+
+def _pixel_sigmas(points_camera: np.ndarray, K: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+    """(2,) mean deviations in pixels of points (N, 3) in the camera, for a covariance of turn and shift (6, 6)."""
+    if len(points_camera) == 0:
+        return np.full(2, np.nan)
+    x, y, z = points_camera[:: max(1, len(points_camera) // _N_EVIDENCE)].T
+    zero, one = np.zeros_like(x), np.ones_like(x)
+    # Columns: how the point moves with the three turns and the three shifts.
+    ways = np.array([[zero, z, -y, one, zero, zero], [-z, zero, x, zero, one, zero], [y, -x, zero, zero, zero, one]])
+    J = np.array([K[0, 0] * (ways[0] - x / z * ways[2]), K[1, 1] * (ways[1] - y / z * ways[2])]) / z
+    return np.sqrt(np.einsum("akn,kl,aln->an", J, covariance, J)).mean(axis=1)
 
 
 def _freed(c: KeyframeClouds, raw: np.ndarray) -> np.ndarray:
@@ -358,6 +425,8 @@ def _judge(made: KeyframeCalibration, q: QualitySettings) -> None:
         raise CalibrationFailed("too_few_objects", f"{f['n_matched']} matched objects of at least {q.min_objects}")
     if not f["median_distance_m"] <= q.max_distance_m:
         raise CalibrationFailed("far_apart", f"a median distance of {f['median_distance_m']:.3f} m of at most {q.max_distance_m:g} m")
+    if not f["sigma_x_px"] <= q.max_sigma_px:
+        raise CalibrationFailed("uncertain", f"a deviation of {f['sigma_x_px']:.1f} px of at most {q.max_sigma_px:g} px")
     if f["edge_margin_px"] < q.min_edge_margin_px:
         raise CalibrationFailed("edges_disagree", f"turned, edges lie {-f['edge_margin_px']:.2f} px nearer")
     if f["distance_after_m"] >= f.get("distance_before_m", np.inf):

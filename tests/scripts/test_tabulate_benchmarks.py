@@ -41,6 +41,8 @@ def inputs(tmp_path):
         "detections": [],
         "models": [],
         "calibrations": [],
+        "recalibrations": [],
+        "recalibration_figures": [],
         "calibrated": [],
         "verdicts": [],
         "localization_pictures": [],

@@ -163,3 +163,41 @@ def test_matched_objects_know_their_local_shift():
     control = match_objects(lidar, target, np.eye(4))
     assert len(control.objects) == 6
     np.testing.assert_allclose(control.sfm - control.lidar, np.tile(shift, (6, 1)), atol=0.03)
+
+
+def bent_planes(bend_deg: float) -> tuple[np.ndarray, np.ndarray]:
+    """What a camera that goes along x makes of the planes when it believes to go to the left by some degrees, and its places."""
+    points = planes(60_000)[:, :] - [0, 0, 1.5]
+    away = points[np.hypot(points[:, 1], points[:, 2]) > 0.1 * points[:, 0]]
+    rays = away / np.linalg.norm(away, axis=1, keepdims=True)
+    believed = np.array([np.cos(np.radians(bend_deg)), np.sin(np.radians(bend_deg)), 0])
+    depths = np.linalg.norm(np.cross(rays, believed), axis=1) / np.linalg.norm(np.cross(rays, [1.0, 0, 0]), axis=1)
+    return away * depths[:, None], np.array([(0.0, 0, 0), 2 * believed])
+
+
+def test_a_wrong_way_of_the_camera_is_known_from_what_it_does_to_the_lidar():
+    cloud, cameras = bent_planes(0.3)
+    lidar = planes(12_000, seed=1) - [0, 0, 1.5]
+    # The frame `sfm` has y down, as cameras have.
+    T_camera = np.array([[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])
+    target = prepare_target(apply(T_camera, cloud), apply(T_camera, cameras), 500.0)
+    plain = refine_alignment(lidar, target, T_camera)
+    turn = np.degrees(rotation_angle(invert(T_camera) @ plain.T_sfm_lidar))
+    assert turn > 0.1
+    # It went to the left by its own account, and in truth straight on.
+    bend = np.radians(-0.3)
+    assert np.degrees(rotation_angle(invert(T_camera) @ plain.bent(bend))) < turn / 2
+    again = refine_alignment(lidar, target.straightened(bend), plain.bent(bend))
+    assert np.degrees(rotation_angle(invert(T_camera) @ again.T_sfm_lidar)) < 0.05
+
+
+def test_the_covariance_says_which_way_is_open():
+    # A road and walls along x leave x open; the front closes it.
+    cameras = np.array([(0.0, 0, 1.5), (2.0, 0.3, 1.5)])
+    along = planes()[:60_000]
+    ends = {}
+    for name, cloud in (("open", along), ("closed", planes())):
+        found = refine_alignment(cloud[::5], prepare_target(cloud, cameras, 500.0), np.eye(4))
+        ends[name] = np.sqrt(np.diag(found.covariance)[3:])
+    assert ends["open"][0] > 10 * ends["open"][1]
+    assert ends["closed"][0] < 0.7 * ends["open"][0]

@@ -5,7 +5,7 @@ import pytest
 
 from streetscan.calibration.alignment import prepare_target
 from streetscan.calibration.linear_projection import linear_of
-from streetscan.calibration.quality import EdgeCheck, depth_edges, hausdorff_distance, plane_distances
+from streetscan.calibration.quality import EdgeCheck, depth_edges, find_bend, hausdorff_distance, plane_distances
 from streetscan.geometry import transform
 
 K = np.array([[400.0, 0, 320], [0, 400.0, 240], [0, 0, 1]])
@@ -42,6 +42,33 @@ def test_edges_lie_on_edges_under_the_right_calibration_alone():
     assert check.distance_px(turned) > check.distance_px(right) + 1
     assert check.margin_px(turned, K) < check.margin_px(right, K)
     assert check.distance_px(linear_of(T_CAMERA_LIDAR @ transform(rpy_rad=(0, 0, np.radians(3))), K)) > 5
+
+
+def turned_by(angle_rad: float) -> np.ndarray:
+    return linear_of(T_CAMERA_LIDAR @ transform(rpy_rad=(0, 0, angle_rad)), K)
+
+
+def test_edges_find_the_turn_that_brings_them_together():
+    points, image = board_and_wall()
+    check = EdgeCheck(image, points)
+    for off_deg in (-0.8, 0.0, 0.4):
+        found = find_bend(check, lambda e, off=off_deg: turned_by(e + np.radians(off)), np.radians(2), np.radians(0.05))
+        # Of the board's two sides one is kept for the check; edges are blurred by a pixel or two.
+        assert np.degrees(found) == pytest.approx(-off_deg, abs=0.35)
+
+
+def test_an_image_without_edges_corrects_nothing():
+    points, image = board_and_wall()
+    assert find_bend(EdgeCheck(np.full_like(image, 100), points), turned_by, np.radians(2), np.radians(0.05)) == 0.0
+    assert find_bend(EdgeCheck(image, np.empty((0, 3))), turned_by, np.radians(2), np.radians(0.05)) == 0.0
+
+
+def test_edges_kept_for_the_check_take_no_part():
+    points, image = board_and_wall()
+    check, right = EdgeCheck(image, points), linear_of(T_CAMERA_LIDAR, K)
+    of_all = check.distance_px(right)
+    assert min(check.distance_px(right, True), check.distance_px(right, False)) <= of_all
+    assert of_all <= max(check.distance_px(right, True), check.distance_px(right, False))
 
 
 def test_no_edge_in_view_is_no_number():

@@ -60,3 +60,16 @@ def test_calibration_stands_in_both_tables_of_the_thesis(tmp_path):
     pd.DataFrame([*rows, ("fast", "final", "x_mean", 2.0, "px", 1)], columns=columns).to_csv(path, index=False)
     both = collect_scores([], {}, calibration_scores([str(path)]))
     assert {"my_drive/slow", "my_drive/fast", "my_drive"} <= set(both[both.table == "calibration"].row)
+
+
+def test_drives_are_pooled_in_the_tables_of_the_thesis(tmp_path):
+    paths = []
+    for drive, value, n in (("a", 1.0, 3), ("b", 2.0, 1)):
+        paths.append(tmp_path / "evaluate_calibration" / drive / "scores.csv")
+        paths[-1].parent.mkdir(parents=True)
+        rows = [("slow", "final", "x_mean", value, "px", n)]
+        pd.DataFrame(rows, columns=["set", "stage", "metric", "value", "unit", "n"]).to_csv(paths[-1], index=False)
+    found = pd.DataFrame(calibration_scores([str(path) for path in paths]))
+    pooled = found[found.table == "nagy_4_1"].iloc[0]
+    assert (pooled.ours, pooled.n, pooled.dataset) == (1.25, 4, "all_drives")
+    assert found[found.table == "calibration"].row.tolist() == ["a", "b"]

@@ -4,7 +4,13 @@ import numpy as np
 import pytest
 from toy_calibration import START_NS
 
-from streetscan.calibration.drive_calibration import DriveCalibrationSettings, KeyframeResult, combine_keyframes, follow_drive
+from streetscan.calibration.drive_calibration import (
+    DriveCalibrationSettings,
+    KeyframeResult,
+    combine_keyframes,
+    follow_drive,
+    keyframes_in_force,
+)
 from streetscan.calibration.motion import LidarMotion
 from streetscan.geometry import apply, invert, rotation_angle, transform
 from streetscan.registration.odometry import FramePose
@@ -100,8 +106,53 @@ def test_a_shifted_mounting_is_noticed_and_replaced():
     keyframes = [keyframe(0), keyframe(1), keyframe(2, status="no_match"), keyframe(3, error=knock), keyframe(4, error=knock)]
     table = follow_drive(keyframes)
     assert table["action"].tolist() == ["replaced", "kept", "kept", "replaced", "kept"]
-    assert table["is_shifted"].tolist() == [False, False, False, True, False]
+    # The second is still off the mounting before, and tells that it has moved.
+    assert table["is_shifted"].tolist() == [False, False, False, True, True]
     assert table["in_force"].tolist() == [0, 0, 0, 3, 3]
+    held, _ = keyframes_in_force(keyframes)
+    assert [k.index for k in held] == [3, 4]
+
+
+def test_a_small_knock_is_noticed_within_three_keyframes():
+    rng = np.random.default_rng(5)
+    knock = transform([0.03, 0, 0], (0, 0, np.radians(0.5)))
+    keyframes = [keyframe(k, error=noise(rng, 0.02, 0.05)) for k in range(5)]
+    keyframes += [keyframe(5 + k, error=knock @ noise(rng, 0.02, 0.05)) for k in range(3)]
+    held, deviations = keyframes_in_force(keyframes, DriveCalibrationSettings(keyframe_m=0.02, keyframe_deg=0.06))
+    assert (deviations[1:5] < 1.8).all()
+    assert (deviations[5:7] > 1.8).all()
+    assert [k.index for k in held] == [5, 6, 7]
+    made = combine_keyframes(held)
+    assert np.degrees(rotation_angle(invert(T_TRUE @ knock) @ made.T_camera_lidar)) < 0.15
+
+
+def test_one_wrong_keyframe_is_no_moved_mounting():
+    rng = np.random.default_rng(6)
+    wrong = keyframe(2, error=transform([0.3, 0.2, 0], (0, 0, 0.05)))
+    keyframes = [keyframe(0, error=noise(rng)), keyframe(1, error=noise(rng)), wrong, keyframe(3, error=noise(rng))]
+    assert [k.index for k in keyframes_in_force(keyframes)[0]] == [0, 1, 3]
+
+
+def test_a_wrong_first_keyframe_gives_way():
+    rng = np.random.default_rng(7)
+    wrong = keyframe(0, error=transform([0.3, 0.2, 0], (0, 0, 0.05)))
+    assert [k.index for k in keyframes_in_force([wrong, keyframe(1, error=noise(rng)), keyframe(2, error=noise(rng))])[0]] == [1, 2]
+
+
+def test_a_keyframe_counts_where_it_knows():
+    # One does not know x, the other not the turn.
+    blind = np.diag([0.0, 0, 0, 1.0, 0, 0])
+    turned = np.diag([0.01, 0.01, 0.01, 0.0, 0, 0])
+    a, b = (
+        keyframe(0, speed_mps=0.0, error=transform([0, 0.2, 0])),
+        keyframe(1, speed_mps=0.0, error=transform(rpy_rad=(0, 0, np.radians(1)))),
+    )
+    # The camera's x is the lidar's -y.
+    a.covariance, b.covariance = blind, turned
+    made = combine_keyframes([a, b])
+    error = invert(T_TRUE) @ made.T_camera_lidar
+    assert np.degrees(rotation_angle(error)) < 0.1
+    assert np.abs(error[:3, 3]).max() < 0.03
 
 
 def test_a_drive_begins_without_a_calibration():

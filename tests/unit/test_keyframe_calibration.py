@@ -12,7 +12,7 @@ from streetscan.errors import BadInput
 from streetscan.geometry import invert, rotation_angle, transform
 
 # Outlines in the toy's picture are blurred by two pixels: the edge check is tested on its own.
-SETTINGS = CalibrationSettings(objects=ObjectSettings(range_m=30.0), quality=QualitySettings(min_edge_margin_px=-2.0))
+SETTINGS = CalibrationSettings(final="motion", objects=ObjectSettings(range_m=30.0), quality=QualitySettings(min_edge_margin_px=-2.0))
 
 
 @pytest.fixture(scope="module")
@@ -103,5 +103,5 @@ def test_clouds_of_two_places_do_not_match(toy):
 
 
 def test_settings_are_checked():
-    with pytest.raises(BadInput, match="choose one of curves, motion"):
+    with pytest.raises(BadInput, match="choose one of curves, motion, edges"):
         CalibrationSettings(final="best")

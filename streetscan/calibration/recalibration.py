@@ -1,0 +1,245 @@
+"""Calibrated again and again: how repeatable the calibration is, from which starts it is found, and what the bins of the vote do to it.
+
+Source: Nagy (2020), 4.4.2, Fig. 4.12 (N-240, N-241).
+
+A trial takes the camera's cloud of a keyframe and a lidar frame near it, and turns the lidar's axes at random: any yaw, roll and pitch
+within a limit. Nothing of that turn is told to the calibration.
+
+ASSUME: the thesis draws 500 seed frames of a long drive and compares all points with a target-based calibration, which it says is off by
+one to three pixels itself; we compare with the true pixels of all points that stand still.
+ASSUME: for the bins, Algorithm 1 alone is looked at, without ICP: its highest peak is right when it is within 1 m and 3 degrees, and a
+failure otherwise.
+"""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from streetscan.calibration.alignment import AlignmentSettings, vote_alignments
+from streetscan.calibration.calibration_evaluation import TruePixels, find_true_pixels
+from streetscan.calibration.calibration_files import read_clouds
+from streetscan.calibration.keyframe_calibration import (
+    CalibrationFailed,
+    CalibrationSettings,
+    KeyframeCalibration,
+    KeyframeClouds,
+    calibrate_keyframe,
+    prepare_objects,
+)
+from streetscan.calibration.keyframes import Keyframe, read_keyframe_lidar
+from streetscan.calibration.linear_projection import project_linear, rigid_of
+from streetscan.calibration.motion import motion_of
+from streetscan.calibration.objects import CloudObjects
+from streetscan.frames import LidarFrame
+from streetscan.geometry import apply, invert, rotation_angle, transform
+from streetscan.io.files import read_yaml
+from streetscan.io.mcap import iterate_lidar
+from streetscan.registration.odometry import FramePose
+
+TRIAL_COLUMNS = (
+    "trial", "keyframe", "lidar_frame", "roll_deg", "pitch_deg", "yaw_deg", "tilt_deg", "status", "x_px", "y_px", "rotation_deg",
+    "translation_m",
+)  # fmt: skip
+BIN_COLUMNS = ("keyframe", "turn_step_deg", "step_m", "is_found", "rotation_deg", "translation_m")
+# A vote that is farther off is a failed registration.
+_FAILED_M, _FAILED_DEG = 1.0, 3.0
+# Tilts are counted in steps of so many degrees.
+_TILT_STEP_DEG = 2.5
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One calibration: the keyframe, the lidar frame counted from the keyframe's own, and the turn of the lidar's axes."""
+
+    number: int
+    keyframe: int
+    frame_step: int
+    rpy_deg: tuple[float, float, float]
+
+    @property
+    def tilt_deg(self) -> float:
+        """The larger of roll and pitch."""
+        return max(abs(self.rpy_deg[0]), abs(self.rpy_deg[1]))
+
+    @property
+    def T_turned_lidar(self) -> np.ndarray:
+        """(4, 4) from the lidar's frame into the turned one."""
+        return transform(rpy_rad=np.radians(self.rpy_deg))
+
+
+def draw_trials(n: int, keyframes: Sequence[int], max_step: int, max_tilt_deg: float, seed: int) -> Iterator[Trial]:
+    """Trials spread evenly over keyframes.
+
+    Args:
+        n: how many; none without keyframes.
+        keyframes: numbers of those with a cloud.
+        max_step: lidar frames up to so many before and after the keyframe's.
+        max_tilt_deg: largest roll and pitch.
+        seed: of the draws.
+    """
+    rng = np.random.default_rng(seed)
+    for number in range(n if len(keyframes) else 0):
+        tilt = rng.uniform(-max_tilt_deg, max_tilt_deg, 2)
+        rpy_deg = float(tilt[0]), float(tilt[1]), float(rng.uniform(-180, 180))
+        yield Trial(number, keyframes[number % len(keyframes)], int(rng.integers(-max_step, max_step + 1)), rpy_deg)
+
+
+def turn_clouds(
+    clouds: KeyframeClouds, frame: LidarFrame, is_static: np.ndarray, T_turned_lidar: np.ndarray, poses: list[FramePose], image_time_ns: int
+) -> KeyframeClouds:
+    """A keyframe's clouds with another lidar frame, as a lidar that is mounted turned would have given it.
+
+    Args:
+        clouds: of the keyframe.
+        frame: the lidar frame.
+        is_static: (N,) bool of its points.
+        T_turned_lidar: (4, 4) a turn.
+        poses: of register_frames.
+        image_time_ns: stamp of the image that counts.
+    """
+    turned = [replace(p, T_segment_lidar=p.T_segment_lidar @ invert(T_turned_lidar)) if p.is_posed else p for p in poses]
+    return replace(
+        clouds, points_lidar=apply(T_turned_lidar, frame.points).astype(np.float32), time_offset_s=frame.time_offset_s,
+        is_static=is_static, motion=motion_of(turned, frame.time_ns, image_time_ns), T_initial=None,
+    )  # fmt: skip
+
+
+def score_trial(trial: Trial, lidar_frame: int, made: KeyframeCalibration, truth: TruePixels, T_camera_lidar: np.ndarray) -> dict:
+    """A row of TRIAL_COLUMNS: mean absolute errors of all static points' pixels, and those of the transform.
+
+    Args:
+        trial, lidar_frame: what was calibrated.
+        made: the outcome.
+        truth: of the lidar frame, in its own axes.
+        T_camera_lidar: (4, 4) the true mounting, likewise.
+    """
+    roll, pitch, yaw = trial.rpy_deg
+    row = dict.fromkeys(TRIAL_COLUMNS, np.nan) | {"trial": trial.number, "keyframe": f"{trial.keyframe:02d}", "lidar_frame": lidar_frame}
+    row |= {"roll_deg": roll, "pitch_deg": pitch, "yaw_deg": yaw, "tilt_deg": trial.tilt_deg, "status": made.status}
+    if made.projection is not None:
+        errors = np.abs(project_linear(made.projection, apply(trial.T_turned_lidar, truth.points)) - truth.pixels)
+        row |= {"x_px": float(errors[:, 0].mean()), "y_px": float(errors[:, 1].mean())}
+    if made.T_camera_lidar is not None:
+        row |= _errors_of(made.T_camera_lidar @ trial.T_turned_lidar, T_camera_lidar)
+    return row
+
+
+def _errors_of(found: np.ndarray, true: np.ndarray) -> dict[str, float]:
+    change = invert(true) @ found
+    return {"rotation_deg": float(np.degrees(rotation_angle(change))), "translation_m": float(np.linalg.norm(change[:3, 3]))}
+
+
+def score_bins(
+    keyframe: int, lidar: CloudObjects, sfm: CloudObjects, T_sfm_lidar: np.ndarray, settings: AlignmentSettings, bins: Sequence[Mapping]
+) -> list[dict]:
+    """Rows of BIN_COLUMNS: the highest peak of Algorithm 1 for each size of its bins.
+
+    Args:
+        keyframe: its number.
+        lidar, sfm: objects of the two clouds.
+        T_sfm_lidar: (4, 4) the true one.
+        settings: of the vote.
+        bins: `turn_step_deg` and `step_m` of each size.
+    """
+    rows = []
+    for size in bins:
+        found = vote_alignments(lidar, sfm, replace(settings, scales=(1.0,), n_peaks=1, window=replace(settings.window, **size)))
+        row = dict.fromkeys(BIN_COLUMNS, np.nan) | {"keyframe": f"{keyframe:02d}", "is_found": False} | dict(size)
+        if found:
+            row |= _errors_of(rigid_of(found[0].T_sfm_lidar), T_sfm_lidar)
+            row["is_found"] = row["translation_m"] <= _FAILED_M and row["rotation_deg"] <= _FAILED_DEG
+        rows.append(row)
+    return rows
+
+
+class Recalibrator:
+    """Trials over the keyframes of a simulated drive."""
+
+    def __init__(
+        self, drive_path: str | Path, truth_folder: str | Path, keyframes: Sequence[Keyframe], model_folders: Sequence[str | Path],
+        poses: list[FramePose], find_static: Callable[[LidarFrame], np.ndarray], settings: CalibrationSettings,
+    ):  # fmt: skip
+        """
+        Args:
+            drive_path, truth_folder: drive.mcap and truth/.
+            keyframes: of the drive.
+            model_folders: of reconstruct_keyframe, one per keyframe.
+            poses: of register_frames.
+            find_static: (N,) bool of a lidar frame's points.
+            settings: of the calibration.
+        """
+        self._drive, self._truth, self._keyframes, self._models = drive_path, truth_folder, keyframes, [Path(m) for m in model_folders]
+        self._poses, self._find_static, self._settings = poses, find_static, replace(settings, with_raw=False)
+        extrinsics = read_yaml(Path(truth_folder) / "truth.yaml")["extrinsics"]
+        self._T_camera_lidar, self._offset_s = np.array(extrinsics["T_camera_lidar"]), extrinsics.get("time_offset_s", 0.0)
+        self._clouds = lru_cache(maxsize=1)(self._read)
+
+    @property
+    def usable(self) -> list[int]:
+        """Numbers of the keyframes that have a dense cloud."""
+        return [k.index for k, model in zip(self._keyframes, self._models, strict=True) if (model / "dense.laz").is_file()]
+
+    def run(self, trial: Trial) -> dict:
+        """The row of one trial."""
+        clouds, cameras, image_time_ns = self._clouds(trial.keyframe)
+        number, frame = self._frame_of(trial)
+        turned = turn_clouds(clouds, frame, self._find_static(frame), trial.T_turned_lidar, self._poses, image_time_ns)
+        truth = find_true_pixels(frame, number, image_time_ns, self._truth, cameras)
+        return score_trial(trial, number, calibrate_keyframe(turned, self._settings), truth, self._T_camera_lidar)
+
+    def score_bins(self, keyframe: int, bins: Sequence[Mapping]) -> list[dict]:
+        """The rows of a keyframe's own lidar frame; none where its clouds hold no objects or its motion is not known."""
+        clouds, _, _ = self._clouds(keyframe)
+        try:
+            lidar, sfm = prepare_objects(
+                clouds.points_lidar[clouds.is_static], clouds.points_sfm[~clouds.is_dynamic_sfm], clouds, self._settings
+            )
+        except CalibrationFailed:
+            return []
+        if clouds.motion is None:
+            return []
+        stamped = self._T_camera_lidar @ invert(clouds.motion.at([clouds.motion.image_s - self._offset_s])[0])
+        return score_bins(keyframe, lidar, sfm, invert(clouds.view.T_camera_sfm) @ stamped, self._settings.alignment, bins)
+
+    def _read(self, keyframe: int) -> tuple[KeyframeClouds, dict, int]:
+        model, chosen = self._models[keyframe], self._keyframes[keyframe]
+        cameras = read_yaml(model / "cameras.yaml")
+        clouds = read_clouds(self._drive, chosen, model, self._poses, None)
+        clouds.is_static = self._find_static(read_keyframe_lidar(self._drive, chosen))
+        return clouds, cameras, cameras["images"][cameras["reference"]]["time_ns"]
+
+    def _frame_of(self, trial: Trial) -> tuple[int, LidarFrame]:
+        """Number and lidar frame of a trial; at the ends of the drive the last there is."""
+        number = min(max(self._keyframes[trial.keyframe].lidar_frame + trial.frame_step, 0), len(self._poses) - 1)
+        time_ns = round(self._poses[number].time_s * 1e9)
+        near = iterate_lidar(self._drive, time_ns - 1_000_000, time_ns + 1_000_000)
+        return number, next(near)
+
+
+def summarize_trials(trials: pd.DataFrame, bins: pd.DataFrame) -> pd.DataFrame:
+    """`set`, `metric`, `value`, `unit`, `n`.
+
+    Args:
+        trials, bins: rows of `score_trial` and `score_bins`.
+    Returns:
+        over accepted trials the least, mean and largest error in x and y; the share accepted by tilt; for each size of the bins the share
+        of failed registrations and the mean errors of the others.
+    """
+    accepted, rows = trials[trials["status"] == "ok"], []
+    rows.append(("", "accepted", 100 * len(accepted) / len(trials) if len(trials) else np.nan, "%", len(trials)))
+    for axis in "xy":
+        for metric in ("min", "mean", "max"):
+            rows.append(("", f"{axis}_{metric}", float(getattr(accepted[f"{axis}_px"], metric)()), "px", len(accepted)))
+    for step, own in trials.groupby((trials["tilt_deg"] // _TILT_STEP_DEG).astype(int)):
+        name = f"tilt {step * _TILT_STEP_DEG:g}-{(step + 1) * _TILT_STEP_DEG:g} deg"
+        rows.append((name, "accepted", 100 * float((own["status"] == "ok").mean()), "%", len(own)))
+    for (turn, step), own in bins.groupby(["turn_step_deg", "step_m"]):
+        name, right = f"bins {turn:g} deg {step:g} m", own[own["is_found"].astype(bool)]
+        rows.append((name, "failed", 100 * (1 - len(right) / len(own)), "%", len(own)))
+        rows.append((name, "rotation", float(right["rotation_deg"].mean()), "deg", len(right)))
+        rows.append((name, "translation", float(right["translation_m"].mean()), "m", len(right)))
+    return pd.DataFrame(rows, columns=["set", "metric", "value", "unit", "n"])

@@ -1,0 +1,41 @@
+"""Draws of trials, and what is counted of them."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from streetscan.calibration.recalibration import BIN_COLUMNS, TRIAL_COLUMNS, draw_trials, summarize_trials
+from streetscan.geometry import rpy_of_transform
+
+
+def test_trials_are_spread_over_keyframes_and_repeat():
+    trials = list(draw_trials(100, [0, 2, 5], 2, 4.0, seed=3))
+    assert [t.keyframe for t in trials[:4]] == [0, 2, 5, 0]
+    assert {t.frame_step for t in trials} == {-2, -1, 0, 1, 2}
+    assert max(t.tilt_deg for t in trials) <= 4
+    assert max(t.rpy_deg[2] for t in trials) > 150
+    assert list(draw_trials(100, [0, 2, 5], 2, 4.0, seed=3)) == trials
+    np.testing.assert_allclose(np.degrees(rpy_of_transform(trials[7].T_turned_lidar)), trials[7].rpy_deg)
+
+
+def test_without_a_cloud_there_are_no_trials():
+    assert list(draw_trials(10, [], 1, 1.0, seed=0)) == []
+    scores = summarize_trials(pd.DataFrame(columns=TRIAL_COLUMNS), pd.DataFrame(columns=BIN_COLUMNS)).set_index("metric")
+    assert scores.loc["accepted", "n"] == 0
+    assert np.isnan(scores.loc["accepted", "value"])
+
+
+def test_refused_trials_count_and_have_no_errors():
+    rows = [("ok", 1.0, 0.5, 1.0), ("ok", 2.0, 1.0, 4.0), ("no_match", np.nan, np.nan, 4.5)]
+    trials = pd.DataFrame(rows, columns=["status", "x_px", "y_px", "tilt_deg"])
+    bins = pd.DataFrame({
+        "keyframe": ["00", "01"], "turn_step_deg": 0.25, "step_m": 0.2, "is_found": [True, False], "rotation_deg": [0.5, 90.0],
+        "translation_m": [0.1, 9.0],
+    })  # fmt: skip
+    scores = summarize_trials(trials, bins).set_index(["set", "metric"])["value"]
+    assert scores["", "accepted"] == pytest.approx(200 / 3)
+    assert (scores["", "x_min"], scores["", "x_mean"], scores["", "x_max"]) == (1.0, 1.5, 2.0)
+    assert scores["tilt 0-2.5 deg", "accepted"] == 100
+    assert scores["tilt 2.5-5 deg", "accepted"] == 50
+    assert scores["bins 0.25 deg 0.2 m", "failed"] == 50
+    assert scores["bins 0.25 deg 0.2 m", "rotation"] == 0.5
