@@ -203,8 +203,10 @@ def summarize_errors(errors: pd.DataFrame, transforms: pd.DataFrame) -> pd.DataF
 
 
 def _gates_of(errors: pd.DataFrame) -> list[tuple]:
-    """Rows of the limits: from above for distances and deviations, from below for the margin of the edges."""
-    final = errors[errors["stage"] == "final"]
+    """Rows of the limits: from above for distances and deviations, from below for the margin of the edges; none without true pixels."""
+    final = errors[errors["stage"] == "final"].dropna(subset="all_x_px")
+    if len(final) == 0:
+        return []
     good = final[(final["all_x_px"] <= GOOD_PX) & (final["all_y_px"] <= GOOD_PX)]
     rows = [("", "gate", "n_good", float(len(good)), "", len(final))]
     for name in _GATES:

@@ -10,6 +10,7 @@ from streetscan.calibration.alignment import (
     IcpSettings,
     find_compatible,
     match_objects,
+    nearby_alignments,
     prepare_target,
     refine_alignment,
     scale_of,
@@ -201,3 +202,14 @@ def test_the_covariance_says_which_way_is_open():
         ends[name] = np.sqrt(np.diag(found.covariance)[3:])
     assert ends["open"][0] > 10 * ends["open"][1]
     assert ends["closed"][0] < 0.7 * ends["open"][0]
+
+
+def test_sensors_of_one_vehicle_are_looked_for_near_each_other():
+    # Level frames of different clouds; places are told in the camera's own frame.
+    lidar, sfm = street(0), moved(street(0), np.eye(4))
+    sfm.T_level_cloud = transform([0.3, 0, 1.5], (0.02, 0, 0.1))
+    found = nearby_alignments(lidar, sfm)
+    level = [sfm.T_level_cloud @ a.T_sfm_lidar @ invert(lidar.T_level_cloud) for a in found]
+    assert min(np.linalg.norm(T - transform([0.5, -1.0, 0])) for T in level) < 1e-9
+    assert max(np.hypot(*T[:2, 3]) for T in level) < 1.5
+    assert {a.source for a in found} == {"nearby"}
