@@ -1,5 +1,5 @@
 import zlib
-from itertools import pairwise
+from itertools import combinations, pairwise
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 
 from streetscan import classes
 from streetscan.errors import BadInput
-from streetscan.simulation import terrain
+from streetscan.simulation import shapes, terrain
 from streetscan.simulation.blocks import plan_block
 from streetscan.simulation.layout import build_street, count_blocks
 from streetscan.simulation.meshes import triangle_areas
@@ -19,6 +19,23 @@ from streetscan.simulation.meshes import triangle_areas
 @pytest.fixture(scope="module")
 def tiny():
     return {split: build_street(28.0, split, 0) for split in ("train", "validation", "test")}
+
+
+@pytest.fixture(scope="module")
+def designs():
+    """Base shape and design of everything that stands or moves in each split's street."""
+    drawn, make = {}, shapes.make_object
+    with pytest.MonkeyPatch.context() as patch:
+        for split in ("train", "validation", "test"):
+            used = drawn[split] = set()
+
+            def make_and_note(name, design, rng, used=used):
+                used.add((name, design))
+                return make(name, design, rng)
+
+            patch.setattr(shapes, "make_object", make_and_note)
+            build_street(28.0, split, 0)
+    return drawn
 
 
 @pytest.fixture(scope="module")
@@ -65,6 +82,17 @@ def test_splits_share_no_place_no_instance_and_no_facade(tiny):
         assert not houses[0] & houses[1]
         boxes = [tiny[s].static.vertices for s in (a, b)]
         assert np.linalg.norm(boxes[0].mean(axis=0) - boxes[1].mean(axis=0)) > 1000
+
+
+def test_splits_share_no_design_of_what_stands_or_moves(designs):
+    for a, b in combinations(designs, 2):
+        assert not designs[a] & designs[b]
+    for used in designs.values():
+        names = {name for name, _ in used}
+        # The layout's standing objects and the traffic's moving ones have both gone through the same door.
+        assert names & set(shapes.LAMPS)
+        assert names & set(shapes.WALKERS)
+        assert "cyclist" in names
 
 
 def test_same_seed_gives_the_same_street_and_another_seed_another():
