@@ -104,8 +104,9 @@ def test_same_seed_gives_the_same_street_and_another_seed_another():
     assert len(a.static.vertices) != len(c.static.vertices)
 
 
-def test_city_has_all_kinds_of_place_and_a_narrow_road():
-    plan = plan_block(0, 0.0, 120.0, True, True, "train", 1, 1.0, 30.0)
+@pytest.mark.parametrize("split", ["train", "validation", "test"])
+def test_city_has_all_kinds_of_place_and_a_narrow_road(split):
+    plan = plan_block(0, 0.0, 120.0, True, True, split, 1, 1.0, 30.0)
     kinds = {k for z in plan.zones for k in (z.left, z.right)}
     assert kinds == {"buildings", "square", "park", "bridge"}
     assert len(plan.crossings) == 1
@@ -113,6 +114,13 @@ def test_city_has_all_kinds_of_place_and_a_narrow_road():
     assert edges[0][0] == 0
     assert edges[-1][1] == 120
     assert all(a[1] == b[0] for a, b in pairwise(edges))
+
+
+@pytest.mark.xfail(strict=True, reason="version 1: rounding lets the bus at the stop take the shelter's place; to be mended with version 2")
+@pytest.mark.parametrize("split", ["train", "validation", "test"])
+def test_stops_of_the_city_have_shelters(split):
+    plan = plan_block(0, 0.0, 120.0, True, True, split, 1, 1.0, 30.0)
+    assert [i.name for i in plan.items].count("bus_shelter") == len(plan.stops) == 2
 
 
 def test_city_mesh_is_valid_and_not_too_large(city):
