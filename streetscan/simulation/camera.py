@@ -4,7 +4,7 @@ Every ray has its own time within the exposure, so the blur of what moves, and o
 shutter: all pixels share the exposure). The ray through a pixel's centre at mid-exposure tells what the pixel shows, in
 the picture and in its truth; more rays follow where the picture has edges or moves.
 
-Source: Nagy (2020), 4.1.2 (FLIR Blackfly USB3, 1288 x 964, 25-30 pictures a second; N-201) and A.1.2 (six cameras on the
+Source: Nagy (2020), 4.1.2 (FLIR Blackfly USB3, 1288 x 964, 25-30 pictures a second; N-201) and A.1.1 (six cameras on the
 mapping vehicle).
 """
 
