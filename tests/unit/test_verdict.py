@@ -15,6 +15,8 @@ GOOD = Evidence(True, n_objects=20, n_inliers=6, consensus=6.0, margin=0.4, fit=
         ({}, "ok"),
         ({"is_on_map": False}, "off_map"),
         ({"fit": 0.2}, "off_map"),
+        ({"fit": 0.23}, "ok"),
+        ({"fit": 0.23, "plane_margin": 0.2}, "off_map"),
         ({"fit": float("nan")}, "ok"),
         ({"n_objects": 2}, "too_few_objects"),
         ({"n_inliers": 2}, "ambiguous"),
