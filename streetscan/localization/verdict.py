@@ -27,15 +27,14 @@ class VerdictSettings:
         min_inliers: fewer objects that agree are chance.
         min_consensus: least consensus of the vote.
         min_margin: least lead of the best peak of the vote over the next, as a share of it.
-        min_fit: least fit of the frame to the map at a pose of the vote.
-        min_plane_fit: ... at a pose of the search by points.
+        min_fit: least fit of the frame to the map.
+        min_agreed_fit: ... at a pose of the vote on which objects agree with `min_agreed_consensus`.
+        min_agreed_consensus: see `min_agreed_fit`.
         min_plane_margin: least lead of the best place over the next in the search by points, as a share of it.
 
-    ASSUME: a pose of the vote was not chosen for how well it fits, one of the search by points was, so chance fits it better. On the city's
-    train and validation streets poses of objects that agree fit by 0.23 and more where they are right, the least where a third of what
-    stands in the frame is on the labelled map. On another street, though it has its lamps and trees at the same distances and up to 20
-    objects agree, they fit by 0.19 and less, by 0.21 on its raw map; poses found by points there by up to 0.24, right ones by 0.27 and
-    more where the map does not end within sight.
+    ASSUME: on the city's train and validation streets right poses fit by 0.27 and more where most of what stands in the frame is on the map
+    and the map does not end within sight; where a third is, by 0.23, with a consensus of 7.5 and more. On another street, with its lamps
+    and trees at the same distances, poses fit by 0.24 and less; those of the vote with a consensus above 6 by 0.21 and less.
     At right poses objects agree with a consensus of 4.0 and a lead of 0.36 and more; where the true pose is beyond the window, by chance,
     with 4.2 and 0.24 at most.
     """
@@ -44,8 +43,9 @@ class VerdictSettings:
     min_inliers: int = 4
     min_consensus: float = 3.0
     min_margin: float = 0.3
-    min_fit: float = 0.22
-    min_plane_fit: float = 0.26
+    min_fit: float = 0.26
+    min_agreed_fit: float = 0.22
+    min_agreed_consensus: float = 7.0
     min_plane_margin: float = 0.08
 
 
@@ -80,7 +80,8 @@ def is_agreed(evidence: Evidence, settings: VerdictSettings = VerdictSettings())
 def judge(evidence: Evidence, settings: VerdictSettings = VerdictSettings()) -> str:
     """A key of VERDICTS."""
     e, s = evidence, settings
-    min_fit = s.min_fit if isnan(e.plane_margin) else s.min_plane_fit
+    is_clear = isnan(e.plane_margin) and e.consensus >= s.min_agreed_consensus
+    min_fit = s.min_agreed_fit if is_clear else s.min_fit
     # Said so that a fit that was not measured refuses nothing.
     if not e.is_on_map or e.fit < min_fit:
         return "off_map"
