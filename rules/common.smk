@@ -434,7 +434,7 @@ def localizer_settings(wildcards):
 def localizer_sequence(wildcards):
     """`localize_frames.sequence` with which frames the localizer takes and where it starts."""
     localizer = config["localizers"][wildcards.localizer]
-    chosen = {"mode": localizer["start"]} | {key: localizer[key] for key in ("first", "every") if key in localizer}
+    chosen = {"mode": localizer["start"]} | {key: localizer[key] for key in ("first", "every", "n_frames") if key in localizer}
     return config["localize_frames"]["sequence"] | chosen
 
 
