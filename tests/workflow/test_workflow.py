@@ -82,3 +82,22 @@ def test_city_drives_are_simulated_and_scored(tmp_path):
     rules = {job.rule for job in jobs}
     assert {"simulate_drive", "segment_frames", "evaluate_frames", "register_frames", "evaluate_registration", "show_frames"} <= rules
     assert not rules & {"import_drive", "merge_frames", "label_map"}
+
+
+def test_compared_networks_are_trained_and_no_map_is_labelled(tmp_path):
+    """Maps are simulated once, however many voxel sizes they are seen in."""
+    jobs = dry_run("--configfile", str(HOME / "config" / "parameters.yaml"), directory=tmp_path)
+    rules = [job.rule for job in jobs]
+    assert rules.count("train_segmenter") == rules.count("calibrate_segmenter") == 17
+    assert rules.count("voxelize_map") == 14
+    assert rules.count("simulate_city") == 2
+    assert not set(rules) & {"label_map", "clean_map", "evaluate_labels"}
+
+
+def test_a_model_may_be_calibrated_for_the_shares_of_another_map(tmp_path, shared_data):
+    models = "models={natural: {channels: [count, height], weights: oakland/c2cnn, initial: null, schedule: {}, prior_power: 1}}"
+    jobs = dry_run("--config", f"data_root={shared_data}", 'labelled_maps=["oakland/natural"]', models, directory=tmp_path)
+    made = {job.rule: job for job in jobs}
+    assert "results/train_segmenter/oakland/c2cnn/weights.safetensors" in made["calibrate_segmenter"].inputs
+    assert "results/calibrate_segmenter/oakland/natural/weights.safetensors" in made["label_map"].inputs
+    assert [job.rule for job in jobs].count("train_segmenter") == 1
