@@ -86,8 +86,12 @@ rule calibrate_segmenter:
     input:
         code=library("calibrate_segmenter"),
         network=trained_network,
-        validation=["results/voxelize_map/{dataset}/validation/voxels.npz", "results/extract_samples/{dataset}/validation/samples.npz"],
-        labels=["results/label_voxels/{dataset}/validation/labels.npy", "results/turn_map/{dataset}/train/labels.npy"],
+        training=["results/turn_map/{dataset}/train/labels.npy", "results/extract_samples/{dataset}/train/samples.npz"],
+        validation=[
+            "results/label_voxels/{dataset}/validation/labels.npy",
+            "results/extract_samples/{dataset}/validation/samples.npz",
+            "results/voxelize_map/{dataset}/validation/voxels.npz",
+        ],
     output:
         weights="results/calibrate_segmenter/{dataset}/{model}/weights.safetensors",
         settings="results/calibrate_segmenter/{dataset}/{model}/settings.yaml",
@@ -102,7 +106,7 @@ rule calibrate_segmenter:
         mem_mb=3000,
     params:
         prior_power=lambda w: config["models"][w.model].get("prior_power", 0.0),
-        patch_voxels=lambda w: schedule_of(w)["patch_voxels"],
+        schedule=schedule_of,
         groups=lambda w: facts(w.dataset).get("groups"),
         n_threads=config["n_threads"],
     script:

@@ -9,31 +9,34 @@ from streetscan.io.arrays import load_npy
 from streetscan.io.tables import save_tables
 from streetscan.logs import logged
 from streetscan.segmentation.c2cnn import load_network, save_network
-from streetscan.segmentation.confidence import calibrate
-from streetscan.segmentation.training import Part
+from streetscan.segmentation.confidence import calibrate, prior_shifts
+from streetscan.segmentation.training import Part, Samples
 
 
 def main(
-    network_paths: Sequence[str], validation: Sequence[str], label_paths: Sequence[str], outputs: Sequence[str], prior_power: float,
-    patch_voxels: int, n_threads: int, groups: Mapping[str, Sequence[str]] | None = None,
+    network_paths: Sequence[str], training: Sequence[str], validation: Sequence[str], outputs: Sequence[str], prior_power: float,
+    schedule: Mapping, n_threads: int, groups: Mapping[str, Sequence[str]] | None = None,
 ) -> None:  # fmt: skip
     """
     Args:
         network_paths: weights and settings as trained.
-        validation: voxel grid and samples of the validation part.
-        label_paths: voxel labels of the validation and of the training part, `.npy`.
+        training: voxel labels and samples of the training part.
+        validation: voxel labels, samples and voxel grid of the validation part.
         outputs: weights.safetensors, settings.yaml, scores.csv, reliability.csv.
-        prior_power, groups, n_threads: see `streetscan.segmentation.confidence.calibrate`.
-        patch_voxels: side of a patch whose samples share work.
+        prior_power: share of `streetscan.segmentation.confidence.prior_shifts` that is added to the logits.
+        schedule: of the training, see `training.Schedule`.
+        groups, n_threads: see `streetscan.segmentation.confidence.calibrate`.
     """
     network = load_network(*network_paths)
-    part = Part.load(*validation, network.settings, patch_voxels)
-    n_voxels = [np.bincount(load_npy(path, "label_voxels"), minlength=256)[:N_CLASSES] for path in label_paths]
-    calibrated, *tables = calibrate(network, part, *n_voxels, prior_power, groups, n_threads)
+    part = Part.load(validation[2], validation[1], network.settings, schedule["patch_voxels"])
+    labels, training_labels = (load_npy(paths[0], "label_voxels") for paths in (validation, training))
+    shifts = prior_power * prior_shifts(Samples.load(training[1]).labels, training_labels, schedule["class_power"])
+    n_voxels = np.bincount(labels, minlength=256)[:N_CLASSES]
+    calibrated, *tables = calibrate(network, part, n_voxels, shifts, groups, n_threads)
     save_network(calibrated, *outputs[:2])
     save_tables(dict(zip(outputs[2:], tables, strict=True)))
 
 
 if __name__ == "__main__":
     with logged(snakemake.log[0]):
-        main(*(snakemake.input[name] for name in ("network", "validation", "labels")), snakemake.output, **snakemake.params)
+        main(*(snakemake.input[name] for name in ("network", "training", "validation")), snakemake.output, **snakemake.params)

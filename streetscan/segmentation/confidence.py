@@ -2,10 +2,10 @@
 
 A network trained on even classes is as sure of itself as its training made it. Dividing its logits by one temperature, fitted on the
 validation samples, makes its confidence the share of right labels and changes no label. Where a map is scored as its classes occur,
-the logarithm of the classes' shares is added: what is rare needs more evidence. Both end in the weights of the output layer, so that
-whatever reads the network is calibrated.
+the logarithm of how much more often a class occurs than it was trained on is added: what is rare needs more evidence. Both end in the
+weights of the output layer, so that whatever reads the network is calibrated.
 
-Source: ours (the thesis has no confidence); Guo et al. (2017), 4.2; Saerens et al. (2002) for the shares.
+Source: ours (the thesis has no confidence); Guo et al. (2017), 4.2; Saerens et al. (2002), Eq. 2.4, for the shares.
 """
 
 import copy
@@ -17,13 +17,13 @@ import numpy as np
 import pandas as pd
 import torch
 from scipy.optimize import minimize_scalar
-from scipy.special import log_softmax
+from scipy.special import log_softmax, softmax
 
 from streetscan.classes import N_CLASSES
 from streetscan.segmentation.c2cnn import C2CNN
 from streetscan.segmentation.metrics import COLUMNS, calibration_error, reliability_bins, score_confusion
 from streetscan.segmentation.sparse import open_workers
-from streetscan.segmentation.training import Part, sample_logits
+from streetscan.segmentation.training import Part, class_weights, sample_logits
 
 logger = logging.getLogger(__name__)
 
@@ -54,19 +54,31 @@ def sample_weights(labels: np.ndarray, n_voxels: np.ndarray) -> np.ndarray:
     return weights * len(labels) / weights.sum()
 
 
-def fit_calibration(logits: np.ndarray, labels: np.ndarray, weights: np.ndarray, n_voxels: np.ndarray, prior_power: float) -> Calibration:
-    """The temperature of the least mean loss, given how far the classes' shares move the logits.
+def prior_shifts(sample_labels: np.ndarray, voxel_labels: np.ndarray, class_power: float) -> np.ndarray:
+    """(9,) logarithms of how much more often each class occurs than it was trained on, on average 0.
+
+    Args:
+        sample_labels: (S,) of the training samples.
+        voxel_labels: (V,) uint8 of the training part, 255 unlabelled; its shares are expected of other parts.
+        class_power: of the training, see `training.class_weights`.
+    """
+    n_samples = np.bincount(sample_labels, minlength=N_CLASSES)
+    trained = class_weights(sample_labels, voxel_labels, class_power) * n_samples
+    occurring = np.bincount(voxel_labels, minlength=256)[:N_CLASSES]
+    # What was never seen counts as seen once on both sides.
+    shifts = np.log(np.maximum(occurring, 1)) - np.log(np.maximum(trained, 1))
+    return shifts - shifts.mean()
+
+
+def fit_calibration(logits: np.ndarray, labels: np.ndarray, weights: np.ndarray, shifts: np.ndarray) -> Calibration:
+    """The temperature of the least mean loss, given how far the logits are moved.
 
     Args:
         logits: (S, 9) of validation samples.
         labels: (S,) their classes.
         weights: (S,) of the samples.
-        n_voxels: (9,) voxels of each class; one that never occurs counts as one voxel.
-        prior_power: the shares enter to this power: 0 leaves the labels as they are, 1 expects classes as they occur.
+        shifts: (9,) added to the divided logits.
     """
-    shares = np.maximum(n_voxels, 1) / np.maximum(n_voxels, 1).sum()
-    shifts = prior_power * np.log(shares)
-    shifts -= shifts.mean()
 
     def loss(log_temperature: float) -> float:
         return mean_loss(Calibration(np.exp(log_temperature), shifts).apply(logits), labels, weights)
@@ -80,6 +92,11 @@ def mean_loss(logits: np.ndarray, labels: np.ndarray, weights: np.ndarray) -> fl
     """Weighted mean cross-entropy of (S, 9) logits, in nats."""
     losses = -log_softmax(logits.astype(np.float64), axis=1)[np.arange(len(labels)), labels]
     return float(np.average(losses, weights=weights))
+
+
+def _calibration_error(logits: np.ndarray, labels: np.ndarray, weights: np.ndarray) -> float:
+    shares = softmax(logits.astype(np.float64), axis=1)
+    return calibration_error(reliability_bins(shares.argmax(axis=1) == labels, shares.max(axis=1), weights))
 
 
 def fold(network: C2CNN, calibration: Calibration) -> C2CNN:
@@ -105,7 +122,7 @@ def score_samples(
         scores with the columns of `metrics.COLUMNS` (`n` are the samples' weights), and the bins of `reliability_bins` with the protocol
         before them.
     """
-    predicted, shares = logits.argmax(axis=1), np.exp(log_softmax(logits.astype(np.float64), axis=1))
+    predicted, shares = logits.argmax(axis=1), softmax(logits.astype(np.float64), axis=1)
     scores, reliability = [], []
     for protocol, counts in (("even", np.ones(N_CLASSES)), ("natural", n_voxels)):
         weights = sample_weights(labels, counts)
@@ -123,21 +140,20 @@ def calibrate(
     network: C2CNN,
     part: Part,
     n_voxels: np.ndarray,
-    n_voxels_train: np.ndarray,
-    prior_power: float,
+    shifts: np.ndarray,
     groups: Mapping[str, Sequence[str]] | None = None,
     n_threads: int = 1,
 ) -> tuple[C2CNN, pd.DataFrame, pd.DataFrame]:
     """A calibrated network, and what it is worth on the validation samples as trained and as calibrated.
 
-    ASSUME: confidence is to be right for the voxels of a map as they occur, so that the samples weigh as their classes do.
+    ASSUME: confidence is to be right for the voxels of a map as they occur, so that the samples weigh as their classes do. The temperature
+    of the least loss is taken only if it lowers the calibration error as well; a network that was right already stays as it is.
 
     Args:
         network: as trained.
         part: the validation part with its samples.
         n_voxels: (9,) voxels of each class in it.
-        n_voxels_train: (9,) the same of the training part, the shares that are expected of other parts.
-        prior_power: see `fit_calibration`.
+        shifts: (9,) what is added to the logits, `prior_shifts` or a part of them; zeros leave the labels as they are.
         groups: group name to the names of its classes.
         n_threads: threads; the result does not depend on it.
     Returns:
@@ -146,7 +162,9 @@ def calibrate(
     """
     with open_workers(n_threads) as workers:
         logits, labels = (tensor.numpy() for tensor in sample_logits(network, part, workers))
-    calibration = fit_calibration(logits, labels, sample_weights(labels, n_voxels), n_voxels_train, prior_power)
+    weights = sample_weights(labels, n_voxels)
+    candidates = Calibration(1.0, shifts), fit_calibration(logits, labels, weights, shifts)
+    calibration = min(candidates, key=lambda c: _calibration_error(c.apply(logits), labels, weights))
     stages = {"trained": logits, "calibrated": calibration.apply(logits)}
     tables = [score_samples(of_stage, labels, n_voxels, groups or {}) for of_stage in stages.values()]
     scores, reliability = (

@@ -19,18 +19,28 @@ def inputs(tmp_path):
     part = make_part(1)
     part.grid.save(tmp_path / "voxels.npz")
     save_npz(tmp_path / "samples.npz", keys=part.samples.keys, labels=part.samples.labels)
-    paths = []
-    for name, n in (("validation", 40), ("train", 100)):
-        paths.append(tmp_path / f"{name}.npy")
-        save_npy(paths[-1], np.repeat(np.array([0, 1, 6, 255], np.uint8), [n, n // 2, n // 20, 9]))
+    for name, n in (("validation", 40), ("train", 4000)):
+        save_npy(tmp_path / f"{name}.npy", np.repeat(np.array([0, 1, 6, 255], np.uint8), [n, n // 2, n // 20, 9]))
     save_network(C2CNN(SETTINGS, seed=1), tmp_path / "trained.safetensors", tmp_path / "settings.yaml")
     network = [tmp_path / "trained.safetensors", tmp_path / "settings.yaml"]
-    return {"network_paths": network, "validation": [tmp_path / "voxels.npz", tmp_path / "samples.npz"], "label_paths": paths}
+    training = [tmp_path / "train.npy", tmp_path / "samples.npz"]
+    return {
+        "network_paths": network,
+        "training": training,
+        "validation": [tmp_path / "validation.npy", training[1], tmp_path / "voxels.npz"],
+    }
 
 
 def run(inputs, folder, prior_power=0.0):
     outputs = [folder / name for name in NAMES]
-    calibrate_segmenter.main(**inputs, outputs=outputs, prior_power=prior_power, patch_voxels=15, n_threads=1, groups={"Wall": ["facade"]})
+    calibrate_segmenter.main(
+        **inputs,
+        outputs=outputs,
+        prior_power=prior_power,
+        schedule={"patch_voxels": 15, "class_power": 0.0},
+        n_threads=1,
+        groups={"Wall": ["facade"]},
+    )
     return outputs
 
 

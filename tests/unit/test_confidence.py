@@ -5,8 +5,18 @@ import pytest
 import torch
 
 from streetscan.classes import CAR, COLUMN, GROUND, N_CLASSES
+from streetscan.segmentation import confidence
 from streetscan.segmentation.c2cnn import C2CNN, Settings
-from streetscan.segmentation.confidence import Calibration, calibrate, fit_calibration, fold, mean_loss, sample_weights, score_samples
+from streetscan.segmentation.confidence import (
+    Calibration,
+    calibrate,
+    fit_calibration,
+    fold,
+    mean_loss,
+    prior_shifts,
+    sample_weights,
+    score_samples,
+)
 from streetscan.segmentation.sparse import open_workers
 from streetscan.segmentation.training import sample_logits
 
@@ -29,14 +39,14 @@ def overconfident():
 
 def test_a_known_temperature_is_found(overconfident):
     logits, labels = overconfident
-    found = fit_calibration(logits, labels, np.ones(len(labels)), EVEN, 0.0)
+    found = fit_calibration(logits, labels, np.ones(len(labels)), np.zeros(N_CLASSES))
     assert found.temperature == pytest.approx(3, rel=0.03)
     np.testing.assert_array_equal(found.apply(logits).argmax(axis=1), logits.argmax(axis=1))
 
 
 def test_calibrated_confidence_is_the_share_of_right_labels(overconfident):
     logits, labels = overconfident
-    found = fit_calibration(logits, labels, np.ones(len(labels)), EVEN, 0.0)
+    found = fit_calibration(logits, labels, np.ones(len(labels)), np.zeros(N_CLASSES))
     errors = []
     for of_stage in (logits, found.apply(logits)):
         scores, _ = score_samples(of_stage, labels, EVEN, {})
@@ -52,21 +62,28 @@ def test_weights_make_classes_what_they_are_in_the_map():
     np.testing.assert_allclose(weights, [1.2, 1.2, 1.2, 0.4])
 
 
-def test_shares_move_what_is_undecided():
+def test_shifts_are_what_occurs_over_what_was_trained():
+    """Of ground there are ten times the voxels, of both as many samples: ground is expected ten times as often as it was trained."""
+    samples = np.repeat([GROUND, COLUMN], 50)
+    voxels = np.repeat(np.array([GROUND, COLUMN, 255], np.uint8), [10_000, 1000, 77])
+    shifts = prior_shifts(samples, voxels, 0.0)
+    assert shifts[GROUND] - shifts[COLUMN] == pytest.approx(np.log(10))
+    assert shifts.mean() == pytest.approx(0)
+    assert np.isfinite(shifts).all()
+    # A training that weighed classes as they occur needs no shift.
+    as_they_occur = prior_shifts(samples, voxels, 1.0)
+    assert as_they_occur[GROUND] == pytest.approx(as_they_occur[COLUMN], abs=1e-6)
+
+
+def test_shifts_move_what_is_undecided():
     logits = np.zeros((2, N_CLASSES))
     logits[0, [GROUND, COLUMN]] = 1.0, 1.2
     logits[1, [GROUND, COLUMN]] = 1.0, 30.0
-    n_voxels = np.full(N_CLASSES, 10)
-    n_voxels[GROUND] = 1000
+    shifts = np.zeros(N_CLASSES)
+    shifts[GROUND] = 4.0
     for power, expected in ((0.0, [COLUMN, COLUMN]), (1.0, [GROUND, COLUMN])):
-        found = fit_calibration(logits, np.array(expected), np.ones(2), n_voxels, power)
+        found = fit_calibration(logits, np.array(expected), np.ones(2), power * shifts)
         np.testing.assert_array_equal(found.apply(logits).argmax(axis=1), expected)
-
-
-def test_a_class_that_never_occurs_has_a_finite_shift():
-    n_voxels = np.array([50, 50, 0, 0, 0, 0, 0, 0, 0])
-    found = fit_calibration(np.random.default_rng(0).normal(size=(50, 9)), np.zeros(50, int), np.ones(50), n_voxels, 1.0)
-    assert np.isfinite(found.shifts).all()
 
 
 def test_a_folded_network_gives_calibrated_logits():
@@ -97,13 +114,25 @@ def test_natural_scores_weigh_samples_as_voxels():
 def test_calibration_of_a_part(toy_part):
     network = C2CNN(toy_part.settings, seed=3).eval()
     n_voxels = np.array([1000, 800, 0, 0, 0, 0, 500, 0, 0])
-    calibrated, scores, reliability = calibrate(network, toy_part, n_voxels, n_voxels, 0.0)
+    calibrated, scores, reliability = calibrate(network, toy_part, n_voxels, np.zeros(N_CLASSES))
     assert set(scores["stage"]) == set(reliability["stage"]) == {"trained", "calibrated"}
     value = scores.set_index(["stage", "protocol", "class", "metric"])["value"]
-    assert value["calibrated", "natural", "overall", "loss"] <= value["trained", "natural", "overall", "loss"]
+    for metric in ("loss", "calibration_error"):
+        assert value["calibrated", "natural", "overall", metric] <= value["trained", "natural", "overall", metric]
     assert value["calibrated", "even", "overall", "f"] == value["trained", "even", "overall", "f"]
     assert value["calibrated", "natural", "part", "n_occupied"] == len(toy_part.grid) < value["calibrated", "natural", "part", "n_voxels"]
     with open_workers(1) as workers:
         logits, labels = (t.numpy() for t in sample_logits(calibrated, toy_part, workers))
     expected = value["calibrated", "natural", "overall", "loss"]
     assert mean_loss(logits, labels, sample_weights(labels, n_voxels)) == pytest.approx(expected, abs=1e-5)
+
+
+def test_a_network_that_is_right_already_stays_as_it_is(toy_part, monkeypatch):
+    """A temperature that only lowers the loss is not taken, and not a bit of the weights changes."""
+    network = C2CNN(toy_part.settings, seed=3).eval()
+    worse = Calibration(0.05, np.zeros(N_CLASSES))
+    monkeypatch.setattr(confidence, "fit_calibration", lambda *_: worse)
+    n_voxels = np.array([1000, 800, 0, 0, 0, 0, 500, 0, 0])
+    kept, scores, _ = calibrate(network, toy_part, n_voxels, np.zeros(N_CLASSES))
+    assert scores.loc[scores["metric"] == "temperature", "value"].tolist() == [1.0]
+    assert all(torch.equal(a, b) for a, b in zip(kept.state_dict().values(), network.state_dict().values(), strict=True))
