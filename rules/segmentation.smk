@@ -108,6 +108,7 @@ rule calibrate_segmenter:
         prior_power=lambda w: config["models"][w.model].get("prior_power", 0.0),
         schedule=schedule_of,
         groups=lambda w: facts(w.dataset).get("groups"),
+        n_turns=config["label_map"]["n_turns"],
         n_threads=config["n_threads"],
     script:
         "../scripts/calibrate_segmenter.py"

@@ -15,7 +15,7 @@ from streetscan.segmentation.training import Part, Samples
 
 def main(
     network_paths: Sequence[str], training: Sequence[str], validation: Sequence[str], outputs: Sequence[str], prior_power: float,
-    schedule: Mapping, n_threads: int, groups: Mapping[str, Sequence[str]] | None = None,
+    schedule: Mapping, n_turns: int, n_threads: int, groups: Mapping[str, Sequence[str]] | None = None,
 ) -> None:  # fmt: skip
     """
     Args:
@@ -25,14 +25,14 @@ def main(
         outputs: weights.safetensors, settings.yaml, scores.csv, reliability.csv.
         prior_power: share of `streetscan.segmentation.confidence.prior_shifts` that is added to the logits.
         schedule: of the training, see `training.Schedule`.
-        groups, n_threads: see `streetscan.segmentation.confidence.calibrate`.
+        groups, n_turns, n_threads: see `streetscan.segmentation.confidence.calibrate`.
     """
     network = load_network(*network_paths)
     part = Part.load(validation[2], validation[1], network.settings, schedule["patch_voxels"])
     labels, training_labels = (load_npy(paths[0], "label_voxels") for paths in (validation, training))
     shifts = prior_power * prior_shifts(Samples.load(training[1]).labels, training_labels, schedule["class_power"])
     n_voxels = np.bincount(labels, minlength=256)[:N_CLASSES]
-    calibrated, *tables = calibrate(network, part, n_voxels, shifts, groups, n_threads)
+    calibrated, *tables = calibrate(network, part, n_voxels, shifts, groups, n_turns, n_threads)
     save_network(calibrated, *outputs[:2])
     save_tables(dict(zip(outputs[2:], tables, strict=True)))
 

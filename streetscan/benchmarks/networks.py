@@ -126,7 +126,7 @@ def draw_networks(folder: str | Path, inputs: Mapping[str, Sequence[str]], known
         name = f"reliability_{n.dataset}_{n.method}"
         pictures.append(save_picture(reliability_diagram(after, before), Path(folder), name, caption, is_narrow=True))
     text = (
-        "Whether a confidence is the share of right labels. Logits are divided by one temperature where that helps, fitted on the validation "
-        "samples, which changes no label; what that is worth on the test part stands in the table confidence."
+        "Whether a confidence is the share of right labels. Where it helps, logits are divided by one temperature, fitted on the "
+        "validation samples; what that is worth on the test part stands in the table confidence."
     )
     return [Section("confidence", "Confidence", text, pictures)] if pictures else []

@@ -17,7 +17,7 @@ import numpy as np
 import pandas as pd
 import torch
 from scipy.optimize import minimize_scalar
-from scipy.special import log_softmax, softmax
+from scipy.special import softmax
 
 from streetscan.classes import N_CLASSES
 from streetscan.segmentation.c2cnn import C2CNN
@@ -37,9 +37,9 @@ class Calibration:
     temperature: float
     shifts: np.ndarray
 
-    def apply(self, logits: np.ndarray) -> np.ndarray:
-        """(S, 9) calibrated logits."""
-        return logits / self.temperature + self.shifts
+    def class_shares(self, logits: np.ndarray) -> np.ndarray:
+        """(S, 9) shares of the classes, the mean over the turns in which (turns, S, 9) logits were found, as label_map takes it."""
+        return softmax(logits.astype(np.float64) / self.temperature + self.shifts, axis=2).mean(axis=0)
 
 
 def sample_weights(labels: np.ndarray, n_voxels: np.ndarray) -> np.ndarray:
@@ -74,29 +74,28 @@ def fit_calibration(logits: np.ndarray, labels: np.ndarray, weights: np.ndarray,
     """The temperature of the least mean loss, given how far the logits are moved.
 
     Args:
-        logits: (S, 9) of validation samples.
+        logits: (turns, S, 9) of validation samples.
         labels: (S,) their classes.
         weights: (S,) of the samples.
         shifts: (9,) added to the divided logits.
     """
 
     def loss(log_temperature: float) -> float:
-        return mean_loss(Calibration(np.exp(log_temperature), shifts).apply(logits), labels, weights)
+        return mean_loss(Calibration(np.exp(log_temperature), shifts).class_shares(logits), labels, weights)
 
     limit = np.log(_LARGEST_TEMPERATURE)
-    found = minimize_scalar(loss, bounds=(-limit, limit), method="bounded", options={"xatol": 1e-4})
+    found = minimize_scalar(loss, bounds=(-limit, limit), method="bounded", options={"xatol": 1e-3})
     return Calibration(float(np.exp(found.x)), shifts)
 
 
-def mean_loss(logits: np.ndarray, labels: np.ndarray, weights: np.ndarray) -> float:
-    """Weighted mean cross-entropy of (S, 9) logits, in nats."""
-    losses = -log_softmax(logits.astype(np.float64), axis=1)[np.arange(len(labels)), labels]
+def mean_loss(shares: np.ndarray, labels: np.ndarray, weights: np.ndarray) -> float:
+    """Weighted mean cross-entropy of (S, 9) shares of the classes, in nats."""
+    losses = -np.log(np.maximum(shares[np.arange(len(labels)), labels], np.finfo(np.float64).tiny))
     return float(np.average(losses, weights=weights))
 
 
-def _calibration_error(logits: np.ndarray, labels: np.ndarray, weights: np.ndarray) -> float:
-    shares = softmax(logits.astype(np.float64), axis=1)
-    return calibration_error(reliability_bins(shares.argmax(axis=1) == labels, shares.max(axis=1), weights))
+def _reliability(shares: np.ndarray, labels: np.ndarray, weights: np.ndarray) -> pd.DataFrame:
+    return reliability_bins(shares.argmax(axis=1) == labels, shares.max(axis=1), weights)
 
 
 def fold(network: C2CNN, calibration: Calibration) -> C2CNN:
@@ -109,12 +108,12 @@ def fold(network: C2CNN, calibration: Calibration) -> C2CNN:
 
 
 def score_samples(
-    logits: np.ndarray, labels: np.ndarray, n_voxels: np.ndarray, groups: Mapping[str, Sequence[str]]
+    shares: np.ndarray, labels: np.ndarray, n_voxels: np.ndarray, groups: Mapping[str, Sequence[str]]
 ) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """How good logits are on samples drawn per class, with the classes alike (`even`) and as they occur (`natural`).
+    """How good shares of classes are on samples drawn per class, with the classes alike (`even`) and as they occur (`natural`).
 
     Args:
-        logits: (S, 9).
+        shares: (S, 9).
         labels: (S,) true classes.
         n_voxels: (9,) voxels of each class in the part the samples are from.
         groups: group name to the names of its classes.
@@ -122,16 +121,15 @@ def score_samples(
         scores with the columns of `metrics.COLUMNS` (`n` are the samples' weights), and the bins of `reliability_bins` with the protocol
         before them.
     """
-    predicted, shares = logits.argmax(axis=1), softmax(logits.astype(np.float64), axis=1)
     scores, reliability = [], []
     for protocol, counts in (("even", np.ones(N_CLASSES)), ("natural", n_voxels)):
         weights = sample_weights(labels, counts)
         confusion = np.zeros((N_CLASSES, N_CLASSES))
-        np.add.at(confusion, (labels, predicted), weights)
+        np.add.at(confusion, (labels, shares.argmax(axis=1)), weights)
         scores += [(protocol, *row) for row in score_confusion(confusion, n_voxels, groups)]
-        bins = reliability_bins(predicted == labels, shares.max(axis=1), weights)
+        bins = _reliability(shares, labels, weights)
         scores.append((protocol, "overall", "calibration_error", 100 * calibration_error(bins), "%", len(labels)))
-        scores.append((protocol, "overall", "loss", mean_loss(logits, labels, weights), "", len(labels)))
+        scores.append((protocol, "overall", "loss", mean_loss(shares, labels, weights), "", len(labels)))
         reliability.append(bins.assign(protocol=protocol))
     return pd.DataFrame(scores, columns=COLUMNS), pd.concat(reliability, ignore_index=True)
 
@@ -142,6 +140,7 @@ def calibrate(
     n_voxels: np.ndarray,
     shifts: np.ndarray,
     groups: Mapping[str, Sequence[str]] | None = None,
+    n_turns: int = 1,
     n_threads: int = 1,
 ) -> tuple[C2CNN, pd.DataFrame, pd.DataFrame]:
     """A calibrated network, and what it is worth on the validation samples as trained and as calibrated.
@@ -155,18 +154,20 @@ def calibrate(
         n_voxels: (9,) voxels of each class in it.
         shifts: (9,) what is added to the logits, `prior_shifts` or a part of them; zeros leave the labels as they are.
         groups: group name to the names of its classes.
+        n_turns: quarter turns in which maps will be labelled, see `inference.label_voxels`.
         n_threads: threads; the result does not depend on it.
     Returns:
         the network; scores and reliability as in `score_samples`, with a first column `stage`: trained or calibrated. Among the scores
         are the temperature and the part's voxels, dense and occupied.
     """
     with open_workers(n_threads) as workers:
-        logits, labels = (tensor.numpy() for tensor in sample_logits(network, part, workers))
+        found = [sample_logits(network, part, workers, turn) for turn in range(0, 4, 4 // n_turns)]
+    logits, labels = np.stack([of_turn.numpy() for of_turn, _ in found]), found[0][1].numpy()
     weights = sample_weights(labels, n_voxels)
     candidates = Calibration(1.0, shifts), fit_calibration(logits, labels, weights, shifts)
-    calibration = min(candidates, key=lambda c: _calibration_error(c.apply(logits), labels, weights))
-    stages = {"trained": logits, "calibrated": calibration.apply(logits)}
-    tables = [score_samples(of_stage, labels, n_voxels, groups or {}) for of_stage in stages.values()]
+    calibration = min(candidates, key=lambda c: calibration_error(_reliability(c.class_shares(logits), labels, weights)))
+    stages = {"trained": Calibration(1.0, np.zeros(N_CLASSES)), "calibrated": calibration}
+    tables = [score_samples(of_stage.class_shares(logits), labels, n_voxels, groups or {}) for of_stage in stages.values()]
     scores, reliability = (
         pd.concat(parts, keys=list(stages), names=["stage"]).reset_index("stage").reset_index(drop=True)
         for parts in zip(*tables, strict=True)

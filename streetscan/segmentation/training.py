@@ -371,12 +371,12 @@ def train(
     return network.eval(), history
 
 
-def sample_logits(network: C2CNN, part: Part, workers: Executor) -> tuple[torch.Tensor, torch.Tensor]:
-    """Logits (S, 9) float32 and labels (S,) int64 of all samples of a part, in an order of their own."""
+def sample_logits(network: C2CNN, part: Part, workers: Executor, turn: int = 0) -> tuple[torch.Tensor, torch.Tensor]:
+    """Logits (S, 9) float32 and labels (S,) int64 of all samples of a part, turned by quarter turns, in an order of their own."""
     rng = np.random.default_rng(0)
 
     def evaluate(runs):
-        channels, coords, wanted, labels = part.batch(runs, np.zeros(len(runs), np.int64))
+        channels, coords, wanted, labels = part.batch(runs, np.full(len(runs), turn))
         with torch.inference_mode():
             return sparse_logits(network, channels, coords, wanted), torch.from_numpy(labels)
 

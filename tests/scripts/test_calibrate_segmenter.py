@@ -38,6 +38,7 @@ def run(inputs, folder, prior_power=0.0):
         outputs=outputs,
         prior_power=prior_power,
         schedule={"patch_voxels": 15, "class_power": 0.0},
+        n_turns=1,
         n_threads=1,
         groups={"Wall": ["facade"]},
     )
