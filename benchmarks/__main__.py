@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pandas as pd
 
+from benchmarks.bench_calibration import bench_calibration
 from benchmarks.bench_drives import bench_drives
 from benchmarks.bench_labelling import run_labelling_benchmark
 from benchmarks.bench_localization import bench_localization
@@ -20,7 +21,7 @@ logger = logging.getLogger("streetscan.bench")
 
 
 def main() -> None:
-    """Run the benchmarks named on the command line, or all, and write results/bench.csv."""
+    """Run the benchmarks named on the command line, or all, and write their rows into results/bench.csv."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--data-root", default="../shared/data", help="folder with real recordings")
     parser.add_argument("--output", default="results/bench.csv")
@@ -35,6 +36,7 @@ def main() -> None:
         "drives": lambda: bench_drives(arguments.data_root),
         "localization": lambda: bench_localization(arguments.data_root),
         "registration": lambda: bench_registration(arguments.data_root),
+        "calibration": bench_calibration,
     }
     chosen = arguments.names or list(benchmarks)
     if unknown := set(chosen) - set(benchmarks):
@@ -44,8 +46,14 @@ def main() -> None:
         logger.info("benchmark %s", name)
         rows += benchmarks[name]()
     table = pd.DataFrame(rows)[COLUMNS]
-    save_tables({Path(arguments.output): table})
+    save_tables({Path(arguments.output): renew(Path(arguments.output), table)})
     print(table.to_string(index=False))
+
+
+def renew(path: Path, table: pd.DataFrame) -> pd.DataFrame:
+    """The table a file holds, if any, with the rows of benchmarks that were run again replaced: parts of a long list can be run alone."""
+    known = pd.read_csv(path, keep_default_na=False) if path.is_file() else table.iloc[:0]
+    return pd.concat([known[~known["benchmark"].isin(table["benchmark"])], table], ignore_index=True)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,7 @@
 """Keep what a run and `make bench` measured in docs/results/: scores, tables, report, command, commit, hardware."""
 
 import argparse
+import base64
 import os
 import platform
 import re
@@ -8,12 +9,16 @@ import shutil
 import subprocess
 from pathlib import Path
 
+import cv2
+import numpy as np
 import pandas as pd
 import yaml
 
 HOME = Path(__file__).resolve().parent.parent
 KEPT = HOME / "docs" / "results"
 MAX_BYTES = 5_000_000
+# Pictures of a kept report are no wider than this, and coarser than those of the report itself.
+WIDTH_PX, QUALITY = 720, 50
 
 
 def describe_hardware() -> str:
@@ -33,6 +38,20 @@ def is_simulated(scores: Path) -> bool:
     return True
 
 
+def shrink_report(html: str) -> str:
+    """A report with its photographs and views as small WebP, so that the repository can hold it; drawings of lines stay."""
+
+    def smaller(found: re.Match) -> str:
+        pixels = cv2.imdecode(np.frombuffer(base64.b64decode(found[1]), np.uint8), cv2.IMREAD_COLOR)
+        height, width = pixels.shape[:2]
+        if width > WIDTH_PX:
+            pixels = cv2.resize(pixels, (WIDTH_PX, round(height * WIDTH_PX / width)), interpolation=cv2.INTER_AREA)
+        content = cv2.imencode(".webp", pixels, [cv2.IMWRITE_WEBP_QUALITY, QUALITY])[1].tobytes()
+        return f"data:image/webp;base64,{base64.b64encode(content).decode()}" if len(content) < len(found[1]) * 3 / 4 else found[0]
+
+    return re.sub(r"data:image/(?:png|jpeg|webp);base64,([A-Za-z0-9+/=]+)", smaller, html)
+
+
 def main() -> None:
     """Copy the runs named on the command line (all finished ones by default), and bench.csv where there is one."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -47,8 +66,9 @@ def main() -> None:
         target.mkdir(parents=True)
         shutil.copy(source / "scores.csv", target)
         shutil.copytree(source / "tables", target / "tables", ignore=shutil.ignore_patterns(".*"))
-        if is_simulated(source / "scores.csv") and (source / "report.html").stat().st_size < MAX_BYTES:
-            shutil.copy(source / "report.html", target)
+        report = shrink_report((source / "report.html").read_text())
+        if is_simulated(source / "scores.csv") and len(report.encode()) < MAX_BYTES:
+            (target / "report.html").write_text(report)
         lines = [
             f"command: {arguments.command or f'make run CONFIG=config/{run}.yaml'}",
             f"commit: {commit}",
