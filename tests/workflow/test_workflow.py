@@ -95,9 +95,12 @@ def test_compared_networks_are_trained_and_no_map_is_labelled(tmp_path):
 
 
 def test_a_model_may_be_calibrated_for_the_shares_of_another_map(tmp_path, shared_data):
-    models = "models={natural: {channels: [count, height], weights: oakland/c2cnn, initial: null, schedule: {}, prior_power: 1}}"
-    jobs = dry_run("--config", f"data_root={shared_data}", 'labelled_maps=["oakland/natural"]', models, directory=tmp_path)
-    made = {job.rule: job for job in jobs}
-    assert "results/train_segmenter/oakland/c2cnn/weights.safetensors" in made["calibrate_segmenter"].inputs
-    assert "results/calibrate_segmenter/oakland/natural/weights.safetensors" in made["label_map"].inputs
-    assert [job.rule for job in jobs].count("train_segmenter") == 1
+    """It shares the training of the network whose weights it takes."""
+    config = str(HOME / "config" / "oakland.yaml")
+    jobs = dry_run("--configfile", config, "--config", f"data_root={shared_data}", directory=tmp_path)
+    made = {output: job for job in jobs for output in job.outputs}
+    natural = made["results/calibrate_segmenter/oakland/c2cnn_natural/weights.safetensors"]
+    assert "results/train_segmenter/oakland/c2cnn/weights.safetensors" in natural.inputs
+    labelled = made["results/label_map/oakland/test/c2cnn_natural/map_0of2.laz"]
+    assert "results/calibrate_segmenter/oakland/c2cnn_natural/weights.safetensors" in labelled.inputs
+    assert "results/train_segmenter/oakland/c2cnn_natural/weights.safetensors" not in made
