@@ -358,7 +358,8 @@ def network_facts(dataset, model):
         "map": map_name(dataset),
         "size_m": voxel_size(dataset),
         "k": (network | changed)["k"],
-        "is_tuned": (dataset, model) not in LABELLED,
+        "is_labelled": (dataset, model) in LABELLED,
+        "is_tuned": (dataset, model) in TUNED,
         "is_point": is_plain and set(changed) <= {"k", "is_padded"} and not of_model.get("prior_power"),
     }
 

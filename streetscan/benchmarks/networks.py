@@ -32,7 +32,8 @@ class Network:
         seed: of its training.
         map: the data set whose map it is.
         size_m, k: voxel edge and voxels an axis of the cube.
-        is_tuned: whether it was trained for a comparison, no map being labelled with it.
+        is_labelled: whether a map is labelled with it.
+        is_tuned: whether it is compared with others on the validation part.
         is_point: whether it differs from C²CNN in voxel and cube size alone.
         scores, reliability: of calibrate_segmenter.
     """
@@ -43,6 +44,7 @@ class Network:
     map: str
     size_m: float
     k: int
+    is_labelled: bool
     is_tuned: bool
     is_point: bool
     scores: pd.DataFrame
@@ -72,7 +74,7 @@ def read_networks(inputs: Mapping[str, Sequence[str]], known: Sequence[Mapping])
 def all_scores(inputs: Mapping[str, Sequence[str]], known: Sequence[Mapping], evaluations: Sequence[Evaluation]) -> list[dict]:
     """Rows of the tidy scores: calibration errors of networks and labelled maps, what the compared networks reach, Tables 2.1 and 2.2."""
     networks = read_networks(inputs, known)
-    rows = _confidence_scores([n for n in networks if not n.is_tuned], evaluations)
+    rows = _confidence_scores([n for n in networks if n.is_labelled], evaluations)
     tuned = [n for n in networks if n.is_tuned]
     return rows + _tuning_scores(tuned) + _parameter_scores([n for n in tuned if n.is_point])
 
@@ -118,7 +120,7 @@ def _parameter_scores(networks: Sequence[Network]) -> list[dict]:
 def draw_networks(folder: str | Path, inputs: Mapping[str, Sequence[str]], known: Sequence[Mapping]) -> list[Section]:
     """A section with the reliability of each network before and after calibration, drawn into a folder (SVG and PDF)."""
     pictures = []
-    for n in (n for n in read_networks(inputs, known) if not n.is_tuned):
+    for n in (n for n in read_networks(inputs, known) if n.is_labelled):
         bins = n.reliability[n.reliability["protocol"] == "natural"]
         before, after = (bins[bins["stage"] == stage] for stage in ("trained", "calibrated"))
         temperature = n.value("natural", "overall", "temperature")[0]

@@ -7,7 +7,17 @@ from streetscan.benchmarks import networks
 from streetscan.benchmarks.scores import Evaluation, collect_scores
 from streetscan.benchmarks.tables import make_tables
 
-FACTS = {"dataset": "city", "method": "c2cnn", "seed": 1, "map": "city", "size_m": 0.1, "k": 23, "is_tuned": True, "is_point": True}
+FACTS = {
+    "dataset": "city",
+    "method": "c2cnn",
+    "seed": 1,
+    "map": "city",
+    "size_m": 0.1,
+    "k": 23,
+    "is_labelled": False,
+    "is_tuned": True,
+    "is_point": True,
+}
 
 
 def scores(f):
@@ -33,7 +43,10 @@ def files(tmp_path):
     """Three points of the tables, one of them off both, and a labelled map's network."""
     known = [FACTS, FACTS | {"dataset": "city_20cm", "size_m": 0.2}, FACTS | {"method": "c2cnn_k7", "k": 7}]
     known += [FACTS | {"dataset": "city_20cm", "method": "c2cnn_k7", "size_m": 0.2, "k": 7}]
-    known += [FACTS | {"method": "c2cnn_local", "is_point": False}, FACTS | {"method": "og_cnn", "is_tuned": False, "is_point": False}]
+    known += [
+        FACTS | {"method": "c2cnn_local", "is_point": False},
+        FACTS | {"method": "og_cnn", "is_labelled": True, "is_tuned": False, "is_point": False},
+    ]
     inputs = {"network_scores": [], "network_reliabilities": []}
     for i, _ in enumerate(known):
         for name, table in (("network_scores", scores(80.0 + i)), ("network_reliabilities", reliability())):
@@ -85,5 +98,5 @@ def test_reliability_is_drawn_for_labelled_maps(files, tmp_path):
     assert "temperature 1.60" in picture.caption
     assert (tmp_path / "figures" / "reliability_city_og_cnn.pdf").is_file()
     inputs, known = files
-    no_map = [k for k in known if k["is_tuned"]]
+    no_map = [k for k in known if not k["is_labelled"]]
     assert networks.draw_networks(tmp_path, {name: paths[: len(no_map)] for name, paths in inputs.items()}, no_map) == []
