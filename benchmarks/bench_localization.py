@@ -135,9 +135,11 @@ def _bench_drive(name: str, case: _Case) -> list[dict]:
     rows.append(_row(bench, "detection", 1000 * np.median(seconds[:, 0]), "ms", n=n))
     rows.append(_row(bench, "vote, 8 keypoints", 1000 * np.median(seconds[:, 1]), "ms", n=n))
     rows.append(_row(bench, "detection and vote", 1 / np.median(seconds[:, :2].sum(axis=1)), "fps", "paper 15", n))
-    by_objects = seconds[[f.source == "objects" for f in found]].sum(axis=1)
-    rows.append(_row(bench, "refined, by objects", 1 / np.median(by_objects) if len(by_objects) else np.nan, "fps", n=len(by_objects)))
-    rows.append(_row(bench, "found by points", 100 * np.mean([f.source == "points" for f in found]), "%", n=n))
+    by_points = np.array([f.source == "points" for f in found])
+    for which, chosen in (("refined", by_points | True), ("refined, by objects", ~by_points), ("refined, by points", by_points)):
+        totals = seconds[chosen].sum(axis=1)
+        rows.append(_row(bench, which, 1 / np.median(totals) if len(totals) else np.nan, "fps", n=len(totals)))
+    rows.append(_row(bench, "found by points", 100 * by_points.mean(), "%", n=n))
     return (
         rows
         + _bench_no_guess(bench, localizer, case)

@@ -32,6 +32,7 @@ ROOT = Path(__file__).resolve().parents[1]
 SENSOR_HEIGHT_M = 1.73
 SEMANTIC_IDS = GRID_CLASSES["semantickitti"]
 PAPER_RATIO = "paper 11-46"
+_PAIR_METRICS = ("pair_time_median", "pair_time_p95", "frame_rate", "failed_pairs", "rpe_rmse", "rpe_rotation_rmse", "ape_rmse", "drift")
 
 
 def bench_registration(data_root: str | Path, n_repeats: int = 20) -> list[dict]:
@@ -139,6 +140,7 @@ class _Drive:
     frames: list[LidarFrame]
     reference: np.ndarray
     is_planar: bool
+    sensor_height_m: float
 
     def every(self, step: int) -> "_Drive":
         return replace(self, frames=self.frames[::step], reference=self.reference[::step])
@@ -153,7 +155,8 @@ def _load_drive(data_root: Path, name: str) -> _Drive | None:
     truth = facts.truth.poses
     reference = np.array([recording.true_pose(f) for f in frames])
     reference = smooth_positions(np.array([f.time_ns / 1e9 for f in frames]), reference, truth.get("smoothing_s", 0.0))
-    return _Drive(name, frames, reference, truth.get("is_planar", False))
+    sensor_height_m = next(m.T_parent_child[2, 3] for m in recording.mountings if (m.parent, m.child) == ("vehicle", "lidar"))
+    return _Drive(name, frames, reference, truth.get("is_planar", False), sensor_height_m)
 
 
 def _time(call) -> float:
@@ -167,7 +170,7 @@ def _run_chain(drive: _Drive, settings: OdometrySettings) -> tuple[list[FramePos
     odometry, rows, seconds = make_odometry(settings), [], []
     for i, frame in enumerate(drive.frames):
         start_s = time.perf_counter()
-        labels = segment_frame(frame.points, SENSOR_HEIGHT_M) if settings.classes else None
+        labels = segment_frame(frame.points, drive.sensor_height_m) if settings.classes else None
         offsets = frame.time_offset_s if frame.time_offset_s is not None and frame.time_offset_s.any() else None
         rows.append(odometry.add(Frame(i, frame.time_ns / 1e9, frame.points, labels, offsets)))
         seconds.append(time.perf_counter() - start_s)
@@ -185,7 +188,16 @@ def _bench_pairs(drive: _Drive) -> list[dict]:
     for variant, classes in (("presegmented", (TALL_STRUCTURE,)), ("raw", ())):
         scores = _score(drive, *_run_chain(drive, OdometrySettings(target="previous", classes=classes)))
         medians[variant] = scores["pair_time_median"][0]
-        for metric in ("pair_time_median", "pair_time_p95", "failed_pairs", "rpe_rmse", "rpe_rotation_rmse", "ape_rmse", "drift"):
+        for metric in (
+            "pair_time_median",
+            "pair_time_p95",
+            "frame_rate",
+            "failed_pairs",
+            "rpe_rmse",
+            "rpe_rotation_rmse",
+            "ape_rmse",
+            "drift",
+        ):
             value, unit, n = scores[metric]
             rows.append(_row(f"pairs_{drive.name}", f"{variant} {metric}", value, unit, n=n))
     ratio = medians["raw"] / medians["presegmented"]
@@ -232,7 +244,7 @@ def _bench_no_prediction(drive: _Drive, max_distance_m: float = 0.5) -> list[dic
                 pair = []
                 for j in (i, i + step):
                     frame = drive.frames[j]
-                    pair.append(Frame(j, frame.time_ns / 1e9, frame.points, segment_frame(frame.points, SENSOR_HEIGHT_M)))
+                    pair.append(Frame(j, frame.time_ns / 1e9, frame.points, segment_frame(frame.points, drive.sensor_height_m)))
                 result = register_pair(*pair, settings=OdometrySettings(classes=classes))
                 truth = np.linalg.inv(drive.reference[i]) @ drive.reference[i + step]
                 n += 1

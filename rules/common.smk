@@ -13,6 +13,7 @@ sys.path.insert(0, str(HOME))
 from streetscan.classes import NAMES
 from streetscan.datasets import check_facts, load_dataset
 from streetscan.errors import StreetscanError
+from streetscan.io.files import read_yaml
 
 
 wildcard_constraints:
@@ -110,12 +111,15 @@ def facts(name):
 
 
 @functools.cache
+@as_workflow_error
 def drive_facts(name):
-    """The content of a drive's file; the step that makes the drive checks it."""
+    """The content of a drive's file, its keys checked; the step that makes the drive checks what they say together."""
     path = DRIVES / f"{name}.yaml"
     if not path.is_file():
         raise WorkflowError(f"{path}: no such drive; write its file or correct its name in the config.")
-    return yaml.safe_load(path.read_text())
+    content = read_yaml(path)
+    check_facts(content, read_yaml(HOME / "config" / "drive.schema.yaml"), path)
+    return content
 
 
 def step_of_drive(drive):
@@ -143,14 +147,17 @@ def lidar_height(drive):
 
 def street_of(wildcards):
     """The street a simulated drive goes through, as the map of its data set was made with."""
-    simulation = drive_facts(wildcards.drive)["simulation"]
+    simulation, where = drive_facts(wildcards.drive)["simulation"], f"{DRIVES / wildcards.drive}.yaml"
     known = facts(simulation["dataset"])
+    found = f"{simulation['dataset']}/{simulation['split']}"
     if known["source"] != "simulate" or simulation["split"] not in known["parts"]:
-        found = f"{simulation['dataset']}/{simulation['split']}"
-        raise WorkflowError(
-            f"{DRIVES / wildcards.drive}.yaml: {found} is no simulated street; name a data set of source simulate and its part."
-        )
-    return known["simulation"]["street"] | {"length_m": known["parts"][simulation["split"]]["length_m"], "crs": known["crs"]}
+        raise WorkflowError(f"{where}: {found} is no simulated street; name a data set of source simulate and its part.")
+    street = known["simulation"]["street"] | {"length_m": known["parts"][simulation["split"]]["length_m"], "crs": known["crs"]}
+    if simulation["place"] != "mapping":
+        return street
+    if "n_rounds" not in known["simulation"]:
+        raise WorkflowError(f"{where}: {found} is not mapped from a vehicle; name a data set with scanners, or another place.")
+    return street | {"n_rounds": known["simulation"]["n_rounds"]}
 
 
 def step_of_map(dataset):
@@ -414,6 +421,8 @@ def map_and_truth(name):
     return [f"results/simulate_city/{name}/test/{file}" for file in ("map.laz", "truth/labels.npy")]
 
 
+for drive in config["drives"] + config["evaluate_sensor"]["drives"]:
+    drive_facts(drive)
 REGISTERED, MERGED = pairs(config["registered_drives"]), pairs(config["merged_drives"])
 for drive, registrar in REGISTERED + MERGED:
     check_registrar(drive, registrar, "registered_drives and merged_drives")
@@ -481,7 +490,7 @@ def localizer_settings(wildcards):
 def localizer_sequence(wildcards):
     """`localize_frames.sequence` with which frames the localizer takes and where it starts."""
     localizer = config["localizers"][wildcards.localizer]
-    chosen = {"mode": localizer["start"]} | {key: localizer[key] for key in ("first", "every") if key in localizer}
+    chosen = {"mode": localizer["start"]} | {key: localizer[key] for key in ("first", "every", "n_frames") if key in localizer}
     return config["localize_frames"]["sequence"] | chosen
 
 
@@ -512,8 +521,11 @@ def n_keyframes(drive):
     """How many keyframes a drive has, as its file says."""
     camera = (drive_facts(drive).get("simulation") or drive_facts(drive)).get("camera")
     if camera is None:
-        raise WorkflowError(f"calibrated_drives: drive '{drive}' has no camera; leave it out, or add the camera to its file.")
-    return camera.get("n_keyframes", 2 if step_of_drive(drive) == "simulate_drive" else 1)
+        raise WorkflowError(f"calibrated_drives: drive '{drive}' has no section camera; leave it out, or add the camera to its file.")
+    n = camera.get("n_keyframes", 2 if step_of_drive(drive) == "simulate_drive" else 1)
+    if n == 0:
+        raise WorkflowError(f"calibrated_drives: drive '{drive}' has 0 keyframes; leave it out, or raise n_keyframes in its file.")
+    return n
 
 
 def for_keyframes(path, drives):

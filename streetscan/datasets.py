@@ -202,7 +202,7 @@ def check_facts(facts: dict, schema: dict, where: object) -> None:
         raise BadInput(where, f"unknown key '{prefix}{unknown}'", remedy)
     if error.validator == "required":
         missing = next(key for key in error.validator_value if key not in error.instance)
-        description = error.schema.get("properties", {}).get(missing, {}).get("description", "the template own_scan.yaml has it")
+        description = error.schema.get("properties", {}).get(missing, {}).get("description", "a template in config has it")
         raise BadInput(where, f"the key '{prefix}{missing}' is missing", f"add it ({description})")
     message = f"{error.instance} is not allowed" if error.validator == "not" else error.message
     message = message if len(message) < 200 else f"{message[:200]}..."

@@ -118,7 +118,12 @@ def _during(inspection: Inspection, times_s: np.ndarray) -> np.ndarray:
 def _time_line(inspection: Inspection) -> plt.Figure:
     frames = inspection.frames
     start = frames["time_s"].min()
-    figure, (axis, lower) = plt.subplots(2, 1, figsize=(10, 3.8), sharex=True, height_ratios=(4, 1), layout="constrained")
+    rows = {"lidar": frames["time_s"], **inspection.image_times_s}
+    if len(inspection.fixes):
+        rows["gps"] = inspection.fixes["time_s"]
+    figure, (axis, lower) = plt.subplots(
+        2, 1, figsize=(10, 3.2 + 0.2 * len(rows)), sharex=True, height_ratios=(4, 0.33 * len(rows)), layout="constrained"
+    )
     for status, group in frames.groupby("status"):
         axis.plot(
             group["time_s"] - start, group["n_points"], ".", ms=4, color=_STATUS_COLOURS.get(status, "k"), label=f"{status} ({len(group)})"
@@ -129,17 +134,11 @@ def _time_line(inspection: Inspection) -> plt.Figure:
     for gap in inspection.gaps.itertuples():
         for a in (axis, lower):
             a.axvspan(gap.start_s - start, gap.start_s - start + gap.duration_s, color="#c0392b", alpha=0.18, lw=0)
-    rows = [("lidar", frames["time_s"])]
-    image_times = frames.loc[frames["image_status"] == "ok", "image_time_s"]
-    if len(image_times):
-        rows.append(("image", image_times))
-    if len(inspection.fixes):
-        rows.append(("gps", inspection.fixes["time_s"]))
-    for i, (_, times) in enumerate(rows):
+    for i, times in enumerate(rows.values()):
         lower.plot(times - start, np.full(len(times), i), "|", color="#333", ms=9)
     lower.set(
         yticks=range(len(rows)),
-        yticklabels=[name for name, _ in rows],
+        yticklabels=list(rows),
         ylim=(-0.6, len(rows) - 0.4),
         xlabel="time since the first frame [s]",
     )
@@ -215,6 +214,8 @@ def _images(inspection: Inspection) -> str:
         if any(n is not None for n in drawn):
             n_points = sum(n or 0 for n in drawn)
             caption += f", {n_points} lidar points in {'it' if is_one else 'them'}, coloured by depth (red near, blue 50 m)"
+            if inspection.points_at_image(row, next(iter(pixels)))[1]:
+                caption += ", carried to its moment by the true poses; what moves by itself is not"
         parts.append(_figure(figure, caption + "."))
     return "".join(parts)
 
@@ -238,7 +239,7 @@ def _draw_image(axis: plt.Axes, inspection: Inspection, row: int, name: str, pix
     if T is None and name == CAMERA:
         T = _mounted_camera(inspection)
     if model is not None and T is not None:
-        uv, depths = project_points(inspection.pictured[row].points, T, model)
+        uv, depths = project_points(inspection.points_at_image(row, name)[0], T, model)
         n_points, scale = len(uv), pixels.shape[1] / model.width
         # As wide on the page as a point of a single image, and less where several share it.
         size = (2.0 if pixels.shape[1] > 800 else 3.0) * (axis.get_position().width / 0.9) ** 2

@@ -155,7 +155,10 @@ def _keys_not_finite(values: Any, key: str = "") -> list[str]:
 def _check_keys(facts: DriveFacts) -> None:
     """Refuse files that lack what their reader needs, or say what it would not read."""
     if facts.reader == "simulate":
-        return  # the schema says it all
+        _check_simulation(facts)
+        return
+    if facts.simulation is not None:
+        raise BadInput(facts.where, f"a section simulation beside reader '{facts.reader}'", "remove it, or write reader: simulate")
     is_folder, is_topic = facts.reader == "folder", facts.reader in ("bag", "mcap")
     needed = {"folder": "files", "bag": "topic", "mcap": "topic", "pcap": "model"}[facts.reader]
     for name, section in (("lidar", facts.lidar), ("camera", facts.camera), ("gps", facts.gps)):
@@ -187,6 +190,23 @@ def _check_keys(facts: DriveFacts) -> None:
         raise BadInput(facts.where, "truth.poses of format gnss", "write crs and gps too, and use reader 'folder'")
     if facts.truth.labels and not is_folder:
         raise BadInput(facts.where, "truth.labels", f"remove it: reader '{facts.reader}' reads no label files")
+
+
+def _check_simulation(facts: DriveFacts) -> None:
+    """Refuse what a simulated drive would not read, and what would make the map's own drive another one."""
+    nothing = DriveFacts(facts.description, facts.source, facts.reader, facts.rate_hz)
+    for key in ("root", "frames", "lidar", "camera", "gps", "truth"):
+        if getattr(facts, key) != getattr(nothing, key):
+            raise BadInput(facts.where, f"a key {key}", "remove it: what a simulated drive reads stands in its section simulation")
+    drive = facts.simulation
+    if drive["place"] != "mapping":
+        return
+    for key in ("speed_kmh", "start_m", "backwards", "number", "traffic_density", "day"):
+        if key in drive:
+            raise BadInput(facts.where, f"simulation.{key} at place 'mapping'", "remove it: that drive is the one the map was made on")
+    if len(set(drive.get("blocks", ()))) > 1:
+        found = f"simulation.blocks {drive['blocks']} at place 'mapping'"
+        raise BadInput(facts.where, found, "name one block twice: the mapping vehicle drives through its street block by block")
 
 
 class Recording:

@@ -14,6 +14,7 @@ from streetscan.io.arrays import load_npy
 from streetscan.io.files import find_file, read_yaml
 from streetscan.io.mcap import iterate_drive, read_topics
 from streetscan.io.trajectories import read_poses_csv
+from streetscan.sweeps import deskew_along
 
 # ASSUME: a pause of more than one and a half frames is a gap; jitter of a spinning lidar stays below a tenth.
 _GAP_FACTOR = 1.5
@@ -37,6 +38,8 @@ class Inspection:
         changes: what became of each object of the street since the map's day (class, change, x_m, y_m), or None.
         pictured: a few whole lidar frames, evenly spread, by their row.
         images: of each of them that has one its nearest image by the name of the camera.
+        image_times_s: stamps (n,) of all images by the name of the camera.
+        time_offsets_s: what a camera's stamps are ahead of the lidar's clock, by its name, as far as known.
     """
 
     frames: pd.DataFrame
@@ -51,6 +54,24 @@ class Inspection:
     crs: str | None = None
     labels: dict[int, np.ndarray] = field(default_factory=dict)
     changes: pd.DataFrame | None = None
+    image_times_s: dict[str, np.ndarray] = field(default_factory=dict)
+    time_offsets_s: dict[str, float] = field(default_factory=dict)
+
+    def points_at_image(self, row: int, camera: str) -> tuple[np.ndarray, bool]:
+        """Points (N, 3) of a pictured frame in frame `lidar` at the moment of its image, and whether the true poses carried them there.
+
+        Without poses, and where they do not reach, each point stays in the frame of its own firing.
+        """
+        frame = self.pictured[row]
+        times_s = self.frames["time_s"].to_numpy(np.float64)
+        known = np.zeros(len(times_s), bool) if self.poses is None else np.isfinite(self.poses).all(axis=(1, 2))
+        known[1:] &= times_s[1:] > np.maximum.accumulate(times_s)[:-1]
+        image_s = self.images[row][camera].time_ns * 1e-9 - self.time_offsets_s.get(camera, 0.0)
+        if known.sum() < 2 or not times_s[known][0] <= image_s <= times_s[known][-1]:
+            return frame.points, False
+        offsets_s = np.zeros(len(frame)) if frame.time_offset_s is None else frame.time_offset_s.astype(np.float64)
+        carried = deskew_along(frame.points, offsets_s + times_s[row] - image_s, image_s, times_s[known], self.poses[known])
+        return np.where(np.isfinite(carried), carried, frame.points), True
 
     @property
     def gaps(self) -> pd.DataFrame:
@@ -102,7 +123,10 @@ class Inspection:
             "0: the source is de-skewed" if is_de_skewed else f"{offsets.iloc[0]:.4f} to {offsets.iloc[1]:.4f} s about forward (median)"
         )
         has_camera = (frames["image_status"] != "none").any()
-        numbers["images"] = _counts(frames["image_status"]) if has_camera else "none: there is no camera"
+        numbers["images"] = "none: there is no camera"
+        if has_camera:
+            all_in_all = ", ".join(f"{len(times)} of {name}" for name, times in self.image_times_s.items()) or "none"
+            numbers["images"] = f"{all_in_all}; beside the frames: {_counts(frames['image_status'])}"
         numbers["fixes"] = str(len(self.fixes)) if len(self.fixes) else "none: there is no /gps"
         if len(self.fixes) > 1:
             numbers["GPS track"] = f"{path_length_m(fix_track_m(self.fixes)):.1f} m"
@@ -140,7 +164,7 @@ def inspect_drive(mcap_path: str | Path, frames_path: str | Path, truth_folder: 
     """
     frames = _read_frames(frames_path)
     rows = _pictured_rows(frames, n_pictured)
-    pictured, images, fixes, mountings, models = {}, {}, [], [], {}
+    pictured, images, fixes, mountings, models, image_times_s = {}, {}, [], [], {}, {}
     # An image farther away than half a revolution shows another place.
     rows_with_image = [row for row in rows if frames["image_status"].iloc[row] == "ok"]
     stamps = {row: round(frames["time_s"].iloc[row] * 1e9) for row in rows}
@@ -152,6 +176,7 @@ def inspect_drive(mcap_path: str | Path, frames_path: str | Path, truth_folder: 
                     pictured[row] = record
                 row += 1
             case CameraImage():
+                image_times_s.setdefault(record.camera, []).append(record.time_ns * 1e-9)
                 for wanted in rows_with_image:
                     of_frame, stamp = images.setdefault(wanted, {}), stamps[wanted]
                     nearest = of_frame.get(record.camera)
@@ -185,6 +210,8 @@ def inspect_drive(mcap_path: str | Path, frames_path: str | Path, truth_folder: 
         if ids == "streetscan"
         else {},
         _read_changes(changes) if changes is not None and changes.is_file() else None,
+        {name: np.array(times_s) for name, times_s in sorted(image_times_s.items())},
+        {name: place["time_offset_s"] for name, place in places.items() if "time_offset_s" in place},
     )
 
 

@@ -4,6 +4,7 @@ A revolution starts at the rear, its stamp is the firing at azimuth 0 (forward).
 """
 
 import numpy as np
+from numba import njit
 from scipy.spatial.transform import Rotation
 
 from streetscan import geometry
@@ -96,9 +97,24 @@ def deskew(points: np.ndarray, time_offset_s: np.ndarray, velocity_mps: np.ndarr
     Returns:
         (N, 3) float64, frame `lidar` at the stamp.
     """
-    time_offset_s = np.asarray(time_offset_s, np.float64)[:, None]
-    turned = Rotation.from_rotvec(time_offset_s * np.asarray(turn_rate_radps)).apply(np.asarray(points, np.float64))
-    return turned + time_offset_s * np.asarray(velocity_mps)
+    velocity, turn = (np.asarray(v, np.float64) for v in (velocity_mps, turn_rate_radps))
+    return _deskew(np.asarray(points), np.asarray(time_offset_s), velocity, turn)
+
+
+@njit(cache=True, nogil=True)
+def _deskew(points, offsets, velocity, turn):
+    rate = np.sqrt((turn * turn).sum())
+    kx, ky, kz = turn / rate if rate > 0 else turn
+    moved = np.empty((len(points), 3))
+    for i in range(len(points)):
+        t, x, y, z = offsets[i], points[i, 0], points[i, 1], points[i, 2]
+        # Rodrigues' formula.
+        s, c = np.sin(rate * t), 1 - np.cos(rate * t)
+        along = kx * x + ky * y + kz * z
+        moved[i, 0] = x + s * (ky * z - kz * y) + c * (kx * along - x) + t * velocity[0]
+        moved[i, 1] = y + s * (kz * x - kx * z) + c * (ky * along - y) + t * velocity[1]
+        moved[i, 2] = z + s * (kx * y - ky * x) + c * (kz * along - z) + t * velocity[2]
+    return moved
 
 
 def deskew_along(

@@ -512,7 +512,7 @@ def frame_errors(frames: Sequence[int], series: dict[str, np.ndarray], heading: 
     figure = _figure(3.0)
     axes = figure.subplots()
     colours = [OURS, PAPER, THIRD, FOURTH, ALARM, QUIET]
-    for (name, values), colour, marker in zip(series.items(), itertools.cycle(colours), itertools.cycle("os^Dvx"), strict=False):
+    for (name, values), colour, marker in zip(series.items(), itertools.cycle(colours), itertools.cycle("os^DvxP*"), strict=False):
         axes.plot(np.arange(len(frames)), values, color=colour, marker=marker, linewidth=1.0, label=name)
     axes.set_yscale("log")
     n_shown = min(len(frames), 13)

@@ -290,7 +290,8 @@ def realism_sections(
         text = (
             "The density of a static scan falls steeply with the distance from its tripod, that of a mobile one is lower near by and more "
             "even along the street. C²CNN reads the number of points in a voxel as evidence (of phantoms above all), so what it learned "
-            "from mobile scans does not carry over to static ones, whose density says how far the tripod stood (thesis 2.3)."
+            "from mobile scans does not carry over to static ones, whose density says how far the tripod stood (thesis 2.3; measured in "
+            "docs/realism.md)."
         )
         pictures = [save_picture(figure, folder, f"density_{static}", caption)]
         sections.append(Section(f"density-{static}", "Static and mobile scanner", text, pictures))

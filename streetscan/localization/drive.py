@@ -6,6 +6,7 @@ also frees each frame of the vehicle's movement during the revolution.
 """
 
 import logging
+import time
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
@@ -41,6 +42,7 @@ class DriveSettings:
             unknown, in the wide window.
         is_deskewed: undo the motion within a revolution, where it is known and the points have times.
         every: every how many frames one is localized.
+        n_frames: so many of these, evenly over the drive; None is all.
         first: the first one.
         tracking_window: searched around a predicted pose.
         max_lost: after so many frames in a row without `ok` the track is lost.
@@ -50,6 +52,7 @@ class DriveSettings:
     mode: str = "gps"
     is_deskewed: bool = True
     every: int = 1
+    n_frames: int | None = None
     first: int = 0
     tracking_window: Window = field(default_factory=lambda: Window(turn_deg=6.0, shift_m=3.0, rise_m=1.0))
     max_lost: int = 3
@@ -122,8 +125,10 @@ def localize_drive(
         settings: see DriveSettings.
     """
     s, track = settings, _Track()
+    wanted = range(s.first, len(starts.xy_m), s.every)
+    wanted = set(wanted if s.n_frames is None else spread_frames(wanted, s.n_frames))
     for index, frame in frames:
-        if index < s.first or (index - s.first) % s.every:
+        if index not in wanted:
             continue
         time_s = frame.time_ns / 1e9
         start = _start_of(index, time_s, starts, track, s)
@@ -131,9 +136,18 @@ def localize_drive(
             location = Location("no_points" if len(frame) == 0 else "no_start")
             start = Start(np.full(2, np.nan))
         else:
-            location = localizer.locate(_freed_of_motion(index, frame, time_s, starts, track, s), start)
+            begun = time.perf_counter()
+            points = _freed_of_motion(index, frame, time_s, starts, track, s)
+            freed = time.perf_counter()
+            location = localizer.locate(points, start)
+            location.seconds[0] += freed - begun
         track.add(time_s, location)
         yield FrameLocation(index, time_s, start, location)
+
+
+def spread_frames(numbers: Sequence[int], n: int) -> list[int]:
+    """n of the numbers, evenly over them, first and last included; all of fewer."""
+    return [numbers[i] for i in np.unique(np.linspace(0, len(numbers) - 1, n).astype(int))] if len(numbers) else []
 
 
 def log_verdicts(rows: Sequence[FrameLocation]) -> None:

@@ -121,6 +121,15 @@ def find_ground(points: np.ndarray, settings: GroundSettings = GroundSettings())
 
 
 @njit(cache=True, nogil=True)
+def has_finite(points: np.ndarray) -> bool:
+    """Whether any of the points (N, 3) has finite coordinates; stops at the first."""
+    i = 0
+    while i < len(points) and not (np.isfinite(points[i, 0]) and np.isfinite(points[i, 1]) and np.isfinite(points[i, 2])):
+        i += 1
+    return i < len(points)
+
+
+@njit(cache=True, nogil=True)
 def _collect(points, min_range, max_range, cell_m, n_side):
     n_cells = n_side * n_side
     counts = np.zeros(n_cells, np.int32)

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from streetscan.geometry import apply, invert, transform
-from streetscan.localization.ground import FrameGround, GroundSettings, find_ground
+from streetscan.localization.ground import FrameGround, GroundSettings, find_ground, has_finite
 from streetscan.localization.keypoints import ObjectSet
 from streetscan.localization.objects import ObjectSettings, find_objects
 from streetscan.localization.recovery import HIGH_M, LOW_M, search_plane
@@ -71,10 +71,11 @@ class Location:
         consensus, margin, n_objects, n_landmarks, n_inliers: of the vote.
         overlap_start, overlap: share of the frame on the map, at the start and at the pose.
         fit: how well the frame lies on the map's surfaces at the pose, 0 to 1.
+        plane_margin: lead of the best place over the next in the search by points, as a share; NaN where objects decided.
         source: what the pose comes from: `objects` (the vote), `points` (the search without objects), or empty.
         is_refined: the pose was refined on points.
         covariance: (6, 6) x y z roll pitch yaw, m and rad, axes of `map`.
-        seconds: (3,) of detection, vote, refinement.
+        seconds: (3,) of detection (what freed the frame of motion included, once `localize_drive` has added it), vote, refinement.
     """
 
     status: str
@@ -88,6 +89,7 @@ class Location:
     overlap_start: float = np.nan
     overlap: float = np.nan
     fit: float = np.nan
+    plane_margin: float = np.nan
     source: str = ""
     is_refined: bool = False
     covariance: np.ndarray = field(default_factory=lambda: np.full((6, 6), np.nan))
@@ -118,7 +120,7 @@ class VotingLocalizer:
         """
         s, reference = self._settings, self._reference
         clock = [time.perf_counter()]
-        if not np.isfinite(points).all(axis=1).any():
+        if not has_finite(points):
             return Location("no_points")
         xy = np.asarray(start.xy_m, np.float64)[:2] - reference.origin[:2]
         window = start.window or (s.window if np.isfinite(start.yaw_rad) else s.wide_window)
@@ -138,10 +140,7 @@ class VotingLocalizer:
         self._refiner.move_to(xy)
         if s.is_refined:
             found.overlap_start = self._refiner.coarse.overlap(frame.standing, T_start @ T_level_lidar)
-        if peaks:
-            self._take_vote(found, frame, peaks, T_start)
-        if s.is_refined and s.is_recovered and found.status != "ok":
-            self._take_plane(found, frame, xy, T_start, window)
+        self._choose(found, frame, peaks, xy, T_start, window)
         for T in (found.T_map_lidar, found.T_vote):
             T[:3, 3] += reference.origin
         clock.append(time.perf_counter())
@@ -164,36 +163,55 @@ class VotingLocalizer:
         peaks = vote(observed, near, pairs, s.n_keypoints, window, s.n_peaks)
         return refine_peaks(peaks, observed, near, pairs, s.n_keypoints), count_pairs(pairs), len(rows)
 
-    def _take_vote(self, found: Location, frame: "_LevelFrame", peaks: list[Peak], T_start: np.ndarray) -> None:
-        """Fill in the best pose of the vote, refined, and whether it is believed."""
+    def _choose(
+        self, found: Location, frame: "_LevelFrame", peaks: list[Peak], xy: np.ndarray, T_start: np.ndarray, window: Window
+    ) -> None:
+        """Fill in the pose: of the objects where they decide, else of the search by points, else whichever lies better on the map."""
+        s = self._settings
         poses = [T_start @ transform(p.shift_m, (0, 0, p.turn_rad)) @ frame.T_level_lidar for p in peaks]
-        found.T_vote = poses[0].copy()
-        best, s = 0, self._settings
-        first = Evidence(True, found.n_objects, len(peaks[0].pairs), peaks[0].consensus, _margin(peaks, 0))
-        # Where objects do not decide, points choose among what they propose.
-        if s.is_refined and not is_agreed(first, s.verdict):
+        if peaks:
+            found.T_vote = poses[0].copy()
+            is_decided = is_agreed(self._weigh(found, peaks, 0), s.verdict)
+            if is_decided or not s.is_refined:
+                self._take_peak(found, frame, peaks, poses, 0, T_start)
+        if not s.is_refined or found.status == "ok":
+            return
+        trial = self._search_plane(found, frame, xy, T_start, window) if s.is_recovered else None
+        if peaks and not is_decided and (trial is None or trial.status != "ok"):
+            # Where objects do not decide, points choose among what they propose.
             best = int(np.argmax(np.nan_to_num([self._refiner.coarse.overlap(frame.standing, T) for T in poses])))
-        peak = peaks[best]
-        found.consensus, found.n_inliers, found.margin = peak.consensus, len(peak.pairs), _margin(peaks, best)
-        evidence = Evidence(True, found.n_objects, found.n_inliers, found.consensus, found.margin)
-        self._finish(found, frame, poses[best], _vote_covariance(peak, T_start), evidence, "objects")
-
-    def _take_plane(self, found: Location, frame: "_LevelFrame", xy: np.ndarray, T_start: np.ndarray, window: Window) -> None:
-        """Fill in the best pose of the search by points, when it is believed or lies better on the map than what was found."""
-        if self._refiner.plane_map is None:
-            return
-        yaw = float(np.arctan2(T_start[1, 0], T_start[0, 0]))
-        places = search_plane(self._refiner.plane_map, frame.low_points, xy, yaw, window)
-        if not places:
-            return
-        shift, turn, share = places[0]
-        margin = 1 - (places[1][2] / share if len(places) > 1 else 0.0)
-        T = place_start(self._reference, xy + shift, yaw + turn, frame.sensor_height_m) @ frame.T_level_lidar
-        trial = Location(found.status)
-        self._finish(trial, frame, T, np.full((6, 6), np.nan), Evidence(True, found.n_objects, plane_margin=margin), "points")
-        if trial.status == "ok" or not trial.fit <= found.fit:
+            self._take_peak(found, frame, peaks, poses, best, T_start)
+        if trial is not None and (trial.status == "ok" or not trial.fit <= found.fit):
             for name in ("status", "T_map_lidar", "overlap", "fit", "source", "is_refined", "covariance"):
                 setattr(found, name, getattr(trial, name))
+
+    def _weigh(self, found: Location, peaks: list[Peak], best: int) -> Evidence:
+        """What a peak of the vote has for it, noted in what is found."""
+        peak = peaks[best]
+        found.consensus, found.n_inliers, found.margin = peak.consensus, len(peak.pairs), _margin(peaks, best)
+        return Evidence(True, found.n_objects, found.n_inliers, found.consensus, found.margin)
+
+    def _take_peak(
+        self, found: Location, frame: "_LevelFrame", peaks: list[Peak], poses: list[np.ndarray], best: int, T_start: np.ndarray
+    ) -> None:
+        """Fill in the pose of a peak of the vote, refined, and whether it is believed."""
+        evidence = self._weigh(found, peaks, best)
+        self._finish(found, frame, poses[best], _vote_covariance(peaks[best], T_start), evidence, "objects")
+
+    def _search_plane(self, found: Location, frame: "_LevelFrame", xy: np.ndarray, T_start: np.ndarray, window: Window) -> Location | None:
+        """The best pose of the search by points, refined, and whether it is believed; None without one."""
+        if self._refiner.plane_map is None:
+            return None
+        yaw, min_lead = float(np.arctan2(T_start[1, 0], T_start[0, 0])), self._settings.verdict.min_plane_margin
+        places = search_plane(self._refiner.plane_map, frame.low_points, xy, yaw, window, n_peaks=2, least=1 - min_lead)
+        if not places:
+            return None
+        shift, turn, share = places[0]
+        found.plane_margin = 1 - (places[1][2] / share if len(places) > 1 else 0.0)
+        T = place_start(self._reference, xy + shift, yaw + turn, frame.sensor_height_m) @ frame.T_level_lidar
+        trial = Location(found.status)
+        self._finish(trial, frame, T, np.full((6, 6), np.nan), Evidence(True, found.n_objects, plane_margin=found.plane_margin), "points")
+        return trial
 
     def _finish(
         self, found: Location, frame: "_LevelFrame", T: np.ndarray, covariance: np.ndarray, evidence: Evidence, source: str

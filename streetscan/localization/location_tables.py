@@ -17,7 +17,7 @@ _POSE = ("x_m", "y_m", "z_m", "qx", "qy", "qz", "qw")
 _AXES = ("x", "y", "z", "roll", "pitch", "yaw")
 _UPPER = np.triu_indices(6)
 COVARIANCE = tuple(f"cov_{_AXES[i]}_{_AXES[j]}" for i, j in zip(*_UPPER, strict=True))
-_NUMBERS = ("consensus", "margin", "n_objects", "n_landmarks", "n_inliers", "overlap_start", "overlap", "fit")
+_NUMBERS = ("consensus", "margin", "n_objects", "n_landmarks", "n_inliers", "overlap_start", "overlap", "fit", "plane_margin")
 _SECONDS = ("detection_s", "vote_s", "refinement_s")
 # The pose columns hold believed poses alone; `found_` whatever was found, `vote_` the vote alone, `start_` where the search began.
 COLUMNS = (

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
+from streetscan.geometry import angle_difference
 from streetscan.localization.voting import Window
 
 # Edge of the finest cell, and how often it is doubled for the coarsest.
@@ -19,7 +20,7 @@ _TURN_STEP_RAD = np.radians(0.75)
 # Heights above the ground that take part, m.
 LOW_M, HIGH_M = 0.5, 2.5
 # Nodes kept at each level, and cells of the frame that are compared.
-_BEAM, _MAX_CELLS = 3000, 500
+_BEAM, _NARROW_BEAM, _MAX_CELLS = 3000, 100, 500
 
 
 @dataclass
@@ -65,7 +66,7 @@ def make_plane_map(points: np.ndarray, heights_m: np.ndarray) -> PlaneMap | None
 
 
 def search_plane(
-    plane_map: PlaneMap, points: np.ndarray, xy: np.ndarray, yaw_rad: float, window: Window, n_peaks: int = 4
+    plane_map: PlaneMap, points: np.ndarray, xy: np.ndarray, yaw_rad: float, window: Window, n_peaks: int = 4, least: float = 0.0
 ) -> list[tuple[np.ndarray, float, float]]:
     """Shifts and turns under which most of the frame falls on the map.
 
@@ -75,6 +76,7 @@ def search_plane(
         xy, yaw_rad: the start, in the map's axes.
         window: what is searched.
         n_peaks: at most so many results, 1.5 m or 5 degrees apart.
+        least: results below this share of the best are of no interest, which saves most of the search.
     Returns:
         (shift (2,) about the start in the map's axes, turn, share of the frame on the map) each, best first.
     """
@@ -92,23 +94,45 @@ def search_plane(
     n = int(np.ceil(window.shift_m / _CELL_M / step))
     shifts = np.arange(-n, n) * step
     nodes = np.stack(np.meshgrid(np.arange(len(turns)), shifts, shifts, indexing="ij"), -1).reshape(-1, 3).astype(np.int32)
+    if least > 0:
+        # What a narrow search reaches, the best reaches too; only the wide beam sees all that comes near it.
+        reached, highest = _descend(plane_map, rotated, nodes, _NARROW_BEAM, 0)
+        others, scores = _descend(plane_map, rotated, nodes, _BEAM, int(np.ceil(least * highest[0])))
+        nodes, scores = np.concatenate([reached[:1], others]), np.concatenate([highest[:1], scores])
+        order = np.argsort(-scores, kind="stable")
+        nodes, scores = nodes[order], scores[order]
+    else:
+        nodes, scores = _descend(plane_map, rotated, nodes, _BEAM, 0)
+    found: list[tuple[np.ndarray, float, float]] = []
+    is_apart = np.ones(len(nodes), bool)
+    while is_apart.any() and len(found) < n_peaks:
+        best = int(np.argmax(is_apart))
+        found.append((nodes[best, 1:] * _CELL_M, float(turns[nodes[best, 0]]), float(scores[best]) / (2 * len(cells))))
+        turned = np.abs(angle_difference(turns[nodes[:, 0]], found[-1][1]))
+        is_apart &= (np.hypot(*(nodes[:, 1:] * _CELL_M - found[-1][0]).T) > 1.5) | (turned > np.radians(5))
+    return found
+
+
+def _descend(plane_map: PlaneMap, rotated: np.ndarray, nodes: np.ndarray, beam: int, least: int) -> tuple[np.ndarray, np.ndarray]:
+    """The best cells (turn, x, y) of the finest level under coarse ones and their scores, best first.
+
+    Args:
+        plane_map: the map.
+        rotated: (A, K, 2) the frame's cells by turn.
+        nodes: (N, 3) cells of the coarsest level.
+        beam: so many are followed from level to level.
+        least: cells that can reach no such score are left.
+    """
     for level in range(_LEVELS, -1, -1):
-        scores = _score(plane_map.levels[level], rotated, nodes)
-        kept = np.argsort(-scores, kind="stable")[:_BEAM]
+        scores = _score(plane_map.levels[level], rotated, nodes, least)
+        kept = np.argsort(-scores, kind="stable")[:beam]
+        kept = kept[scores[kept] >= least]
         nodes, scores = nodes[kept], scores[kept]
         if level:
             half = 2 ** (level - 1)
             children = np.array([(0, 0, 0), (0, half, 0), (0, 0, half), (0, half, half)], np.int32)
             nodes = (nodes[:, None] + children).reshape(-1, 3)
-    found: list[tuple[np.ndarray, float, float]] = []
-    for (t, i, j), score in zip(nodes, scores, strict=True):
-        shift, turn = np.array([i, j]) * _CELL_M, float(turns[t])
-        apart = [np.hypot(*(shift - f[0])) > 1.5 or abs((turn - f[1] + np.pi) % (2 * np.pi) - np.pi) > np.radians(5) for f in found]
-        if all(apart):
-            found.append((shift, turn, float(score) / (2 * len(cells))))
-            if len(found) == n_peaks:
-                break
-    return found
+    return nodes, scores
 
 
 def _cells_of(points: np.ndarray) -> np.ndarray:
@@ -118,12 +142,15 @@ def _cells_of(points: np.ndarray) -> np.ndarray:
 
 
 @njit(cache=True, nogil=True)
-def _score(field, rotated, nodes):
+def _score(field, rotated, nodes, least):
+    """Twice the cells of the frame that fall on the map, per node; less than `least` as soon as it cannot be reached."""
     scores = np.zeros(len(nodes), np.int32)
     n_x, n_y = field.shape
     for k in range(len(nodes)):
         t, dx, dy, total = nodes[k, 0], nodes[k, 1], nodes[k, 2], 0
         for p in range(rotated.shape[1]):
+            if p % 32 == 0 and total + 2 * (rotated.shape[1] - p) < least:
+                break
             i, j = rotated[t, p, 0] + dx, rotated[t, p, 1] + dy
             if i >= 0 and i < n_x and j >= 0 and j < n_y:
                 total += field[i, j]

@@ -127,8 +127,11 @@ class Reference:
         landmarks = Landmarks.load(landmarks_path)
         reference = cls(str(crs) or None, origin, landmarks.moved(-origin), corner, ground, is_ground, static, float(static_m))
         centres = reference.landmarks.objects.centres
-        if len(centres) and not any(reference.contains(c, 5.0) for c in centres):
-            raise BadInput(landmarks_path, f"holds no landmark on the map of {path}", "run cluster_landmarks again, for both at once")
+        n_on_map = sum(reference.contains(c, 5.0) for c in centres)
+        # Those of a neighbouring map may overlap with this one at its end.
+        if n_on_map < len(centres) / 2:
+            found = f"holds {len(centres)} landmarks, {n_on_map} of them on the map of {path}"
+            raise BadInput(landmarks_path, found, "run cluster_landmarks again, for both at once")
         return reference
 
 

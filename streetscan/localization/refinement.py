@@ -13,7 +13,7 @@ import small_gicp
 from streetscan.geometry import rotation_angle
 from streetscan.localization.recovery import make_plane_map
 from streetscan.localization.reference import MIN_KNOWN, OccupancyGrid, Reference
-from streetscan.registration.ndt import NdtSettings, build_fields, fit, thin_points
+from streetscan.registration.ndt import NdtField, NdtSettings, thin_points
 
 
 @dataclass(frozen=True)
@@ -25,7 +25,7 @@ class RefinementSettings:
         range_m: farther points of the frame are left out.
         max_distance_m: farthest correspondence.
         cube_m: edge of the cubes of the overlap.
-    coarse_cube_m: ... of the overlap of poses that are not refined yet.
+        coarse_cube_m: ... of the overlap of poses that are not refined yet.
         max_shift_m, max_turn_deg: a pose farther from the vote's is not believed.
     """
 
@@ -60,10 +60,12 @@ class Refined:
 
 # The map is prepared this far around a position, and anew when the vehicle has moved by half of it: a street of kilometres fits.
 _CUT_M = 200.0
-# Only looked up, never searched: no step is taken.
-_SCORE = NdtSettings(sizes_m=(0.8,), n_neighbours=1, max_iterations=0)
+# Only looked up, never searched.
+_SCORE_M, _SCORE = 0.8, NdtSettings(n_neighbours=1)
 # Fewer points do not fix a pose.
 _MIN_POINTS = 50
+# ASSUME: a last step this long leaves a millimetre or two, of centimetres by which maps drift; each step costs as much as the vote.
+_STEP_M = 0.003
 # ASSUME: neighbouring points share their errors, so each Hessian counts this many times too much; and a map drifts, here by 2.8 cm, 1.2 cm
 # in height and 0.04 degrees. Chosen on the city's train and validation streets, where errors then are as large as they are said to be.
 _CORRELATED = 30.0
@@ -96,7 +98,8 @@ class Refiner:
         points = self._reference.cut(xy, _CUT_M)
         self.plane_map = make_plane_map(points, points[:, 2] - self._reference.ground_at(points))
         self.fine, self.coarse = OccupancyGrid(points, s.cube_m), OccupancyGrid(points, s.coarse_cube_m)
-        self._fields = build_fields(points, _SCORE)
+        self._field = NdtField(_SCORE_M, _SCORE)
+        self._field.add(points)
         self._target = self._tree = None
         if len(points) >= _MIN_POINTS:
             self._target, self._tree = small_gicp.preprocess_points(points, self._reference.static_m, num_neighbors=10, num_threads=1)
@@ -117,9 +120,8 @@ class Refiner:
         if len(thinned) < _MIN_POINTS or self._target is None:
             return Refined(T, False, before, before, nothing, self._fit(thinned, T, before))
         source, _ = small_gicp.preprocess_points(thinned, s.thin_m, num_neighbors=10, num_threads=1)
-        result = small_gicp.align(
-            self._target, source, self._tree, T, "GICP", max_correspondence_distance=s.max_distance_m, num_threads=1, max_iterations=20
-        )
+        limits = {"max_correspondence_distance": s.max_distance_m, "translation_epsilon": _STEP_M, "max_iterations": 20}
+        result = small_gicp.align(self._target, source, self._tree, T, "GICP", num_threads=1, **limits)
         T_refined = np.array(result.T_target_source)
         u, _, vt = np.linalg.svd(T_refined[:3, :3])
         T_refined[:3, :3] = u @ vt
@@ -136,7 +138,7 @@ class Refiner:
 
     def _score(self, points: np.ndarray, T: np.ndarray) -> float:
         """Mean height of the map's distributions at the points."""
-        return fit(self._fields, points, T, _SCORE).score
+        return self._field.score(points, T)
 
 
 def covariance_of(hessian: np.ndarray, T: np.ndarray) -> np.ndarray:

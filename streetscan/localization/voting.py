@@ -147,7 +147,8 @@ def vote(
     n_x, n_y, n_z = window.shape
     turns = window.turns_rad
     votes = np.zeros(n_x * n_y * n_z, np.uint16)
-    cells, high_cells = np.empty((2, len(pairs) * own.shape[1] * own.shape[2]), np.int32)
+    n_votes = len(pairs) * own.shape[1] * own.shape[2]
+    cells, high_cells = np.empty(n_votes, np.int32), np.empty((n_votes, 2), np.int32)
     reaches = _reaches(observed, landmarks, pairs, window.shift_m * np.sqrt(2))
     can_meet = np.abs(reaches[:, 0]) - reaches[:, 1] <= turns[-1] if window.turn_deg < 180 else reaches[:, 1] >= 0
     pairs, reaches = pairs[can_meet], reaches[can_meet]
@@ -208,52 +209,57 @@ _PER_TURN = 4
 @njit(cache=True, nogil=True)
 def _vote(own, theirs, pairs, quarters, reaches, turns, chosen, n_x, n_y, n_z, step, votes, cells, high_cells):
     """Per turn the best cells: votes with neighbours, x, y, z, turn; the arrays are scratch, given and left empty."""
-    n_layers, n_columns = own.shape[1], own.shape[2]
+    n_columns, n_keypoints = own.shape[2], own.shape[1] * own.shape[2]
     best = np.zeros((len(chosen) * _PER_TURN, 5), np.int64)
-    # Lengths in cells from here on; one or four columns, so that a bit mask wraps their numbers.
-    turned, placed = np.empty_like(own), theirs / step
+    # Lengths in cells from here on, a row of numbers per axis: what is alike for all keypoints of a pair is done for all at once.
+    turned = np.empty((own.shape[0], 3, n_keypoints))
+    placed = _place(theirs, step)
+    found = np.empty(n_keypoints, np.int32)
     half_x, half_y, half_z = n_x // 2 + 0.5, n_y // 2 + 0.5, n_z // 2 + 0.5
     for at, t in enumerate(chosen):
         c, s = np.cos(turns[t]), np.sin(turns[t])
         for m in range(own.shape[0]):
-            for layer in range(n_layers):
-                for q in range(n_columns):
-                    x, y = own[m, layer, q, 0], own[m, layer, q, 1]
-                    turned[m, layer, q, 0] = (c * x - s * y) / step - half_x
-                    turned[m, layer, q, 1] = (s * x + c * y) / step - half_y
-                    turned[m, layer, q, 2] = own[m, layer, q, 2] / step - half_z
-        n, n_high, highest = 0, 0, 0
+            for j in range(n_keypoints):
+                layer, q = j // n_columns, j % n_columns
+                x, y = own[m, layer, q, 0], own[m, layer, q, 1]
+                turned[m, 0, j] = (c * x - s * y) / step - half_x
+                turned[m, 1, j] = (s * x + c * y) / step - half_y
+                turned[m, 2, j] = own[m, layer, q, 2] / step - half_z
+        n = 0
         for p in range(len(pairs)):
             off = abs(turns[t] - reaches[p, 0])
             if min(off, 2 * np.pi - off) > reaches[p, 1]:
                 continue
-            o, m = pairs[p, 0], pairs[p, 1]
-            # The column of the counterpart moves by as many.
-            quarter = int(np.rint(quarters[p] + turns[t] / (np.pi / 2)))
-            for layer in range(n_layers):
-                for q in range(n_columns):
-                    k = (q + quarter) & (n_columns - 1)
-                    x = placed[m, layer, k, 0] - turned[o, layer, q, 0]
-                    y = placed[m, layer, k, 1] - turned[o, layer, q, 1]
-                    z = placed[m, layer, k, 2] - turned[o, layer, q, 2]
-                    # Written so that NaN, a keypoint that does not exist, fails.
-                    if not (x >= 0 and x < n_x and y >= 0 and y < n_y and z >= 0 and z < n_z):
-                        continue
-                    cell = (int(x) * n_y + int(y)) * n_z + int(z)
-                    votes[cell] += 1
-                    cells[n] = cell
-                    n += 1
-                    # The last vote of a cell that is high at the end makes it high among those before it.
-                    if votes[cell] >= 2 * highest // 3:
-                        highest = max(highest, votes[cell])
-                        high_cells[n_high] = cell
-                        n_high += 1
+            # The column of the counterpart moves by as many; one or four columns, so that a bit mask wraps their numbers.
+            quarter = int(np.rint(quarters[p] + turns[t] / (np.pi / 2))) & (n_columns - 1)
+            ours, their = turned[pairs[p, 0]], placed[pairs[p, 1], quarter]
+            for j in range(n_keypoints):
+                x, y, z = their[0, j] - ours[0, j], their[1, j] - ours[1, j], their[2, j] - ours[2, j]
+                # Written so that NaN, a keypoint that does not exist, fails.
+                is_inside = (x >= 0) & (x < n_x) & (y >= 0) & (y < n_y) & (z >= 0) & (z < n_z)
+                cell = (np.int32(x) * np.int32(n_y) + np.int32(y)) * np.int32(n_z) + np.int32(z)
+                found[j] = cell if is_inside else np.int32(-1)
+            # Without a branch: whether a keypoint is inside cannot be foreseen.
+            for j in range(n_keypoints):
+                cells[n] = found[j]
+                n += found[j] >= 0
+        n_high, highest, least = 0, 0, 0
+        for i in range(n):
+            number = votes[cells[i]] + 1
+            votes[cells[i]] = number
+            # The last vote of a cell that is high at the end makes it high among those before it.
+            if number >= least:
+                if number > highest:
+                    highest, least = number, 2 * number // 3
+                high_cells[n_high, 0], high_cells[n_high, 1] = cells[i], number
+                n_high += 1
         # Only cells nearly as high as the highest can be the best with their neighbours.
-        least = max(2 * highest // 3, 1)
+        least = max(least, 1)
         kept = best[at * _PER_TURN : (at + 1) * _PER_TURN]
         for i in range(n_high):
-            cell = high_cells[i]
-            if votes[cell] < least:
+            cell = high_cells[i, 0]
+            # A cell is looked at once, at its last vote.
+            if votes[cell] < least or votes[cell] != high_cells[i, 1]:
                 continue
             x, y, z = cell // n_z // n_y, cell // n_z % n_y, cell % n_z
             total = 0
@@ -265,6 +271,21 @@ def _vote(own, theirs, pairs, quarters, reaches, turns, chosen, n_x, n_y, n_z, s
         for i in range(n):
             votes[cells[i]] = 0
     return best
+
+
+@njit(cache=True, nogil=True)
+def _place(theirs, step):
+    """Landmarks' keypoints (M, Q, 3, K) in cells, an axis a row, for each quarter turn by which their columns may move."""
+    n_layers, n_columns = theirs.shape[1], theirs.shape[2]
+    placed = np.empty((len(theirs), n_columns, 3, n_layers * n_columns))
+    for m in range(len(theirs)):
+        for quarter in range(n_columns):
+            for layer in range(n_layers):
+                for q in range(n_columns):
+                    for axis in range(3):
+                        column = (q + quarter) & (n_columns - 1)
+                        placed[m, quarter, axis, layer * n_columns + q] = theirs[m, layer, column, axis] / step
+    return placed
 
 
 @njit(cache=True, nogil=True)

@@ -193,6 +193,12 @@ class NdtField:
         _rebuild(self._table, self._rows, self._keys, n)
         self.add(np.empty((0, 3)))
 
+    def score(self, points: np.ndarray, T_field_points: np.ndarray) -> float:
+        """`Fit.score` of points (M, 3), metres, at a pose (4, 4), without a search; 0 for none."""
+        d1, _ = likelihood_constants(self._settings.outlier_ratio, self.size_m)
+        cost = self._evaluate(points, T_field_points[:3, :3].copy(), T_field_points[:3, 3].copy(), False)[0]
+        return float(cost / d1 / max(len(points), 1))
+
     def _evaluate(self, points, rotation, translation, with_derivatives):
         d1, d2 = likelihood_constants(self._settings.outlier_ratio, self.size_m)
         return _evaluate(

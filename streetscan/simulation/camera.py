@@ -4,7 +4,7 @@ Every ray has its own time within the exposure, so the blur of what moves, and o
 shutter: all pixels share the exposure). The ray through a pixel's centre at mid-exposure tells what the pixel shows, in
 the picture and in its truth; more rays follow where the picture has edges or moves.
 
-Source: Nagy (2020), 4.1.2 (FLIR Blackfly USB3, 1288 x 964, 25-30 pictures a second; N-201) and A.1.2 (six cameras on the
+Source: Nagy (2020), 4.1.2 (FLIR Blackfly USB3, 1288 x 964, 25-30 pictures a second; N-201) and A.1.1 (six cameras on the
 mapping vehicle).
 """
 
@@ -16,6 +16,7 @@ import numba
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from streetscan.errors import BadInput
 from streetscan.frames import CameraModel
 from streetscan.simulation.daylight import Daylight, Lighting
 from streetscan.simulation.raycasting import SceneCaster
@@ -62,6 +63,15 @@ class Camera:
     target: float = 0.20
     edge_rays: int = 3
     blur_rays: int = 8
+
+    def __post_init__(self):
+        if not 0 < self.exposure_s[0] <= self.exposure_s[1]:
+            raise BadInput("camera.exposure_s", f"{list(self.exposure_s)}", "give the shortest exposure first, then the longest")
+        corners = np.array([[0, 0], [1, 0], [0, 1], [1, 1]]) * [self.width - 1, self.height - 1]
+        farthest = np.linalg.norm(corners - self.model.K[:2, 2], axis=1).max() / self.focal_px
+        if farthest >= (reach := _lens_reach(*self.distortion[:2])):
+            found = f"{list(self.distortion)} shows nothing beyond {reach * self.focal_px:.0f} pixels from the middle"
+            raise BadInput("camera.distortion", found, "make the lens bend less, or focal_px longer")
 
     @property
     def model(self) -> CameraModel:
@@ -125,6 +135,16 @@ def mount_camera(position_m: tuple[float, float, float], yaw_deg: float = 0.0, p
     T[:3, :3] = Rotation.from_euler("ZYX", [yaw_deg, pitch_deg, roll_deg], degrees=True).as_matrix() @ _FORWARD
     T[:3, 3] = position_m
     return T
+
+
+def _lens_reach(k1: float, k2: float) -> float:
+    """How far from the middle, over the focal length, a lens shows anything before its distortion turns back; inf when it never does."""
+    squares = np.roots([5 * k2, 3 * k1, 1.0])  # of the radius, where the distorted one stops growing
+    turns = squares.real[(np.abs(squares.imag) < 1e-12) & (squares.real > 0)]
+    if not len(turns):
+        return np.inf
+    square = turns.min()
+    return float(np.sqrt(square) * (1 + square * (k1 + square * k2)))
 
 
 def project(points_camera: np.ndarray, model: CameraModel) -> np.ndarray:

@@ -9,6 +9,7 @@ import json
 import logging
 import time
 import zlib
+from collections import Counter, deque
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
@@ -33,11 +34,20 @@ from streetscan.simulation.layout import build_street
 from streetscan.simulation.raycasting import SceneCaster
 from streetscan.simulation.receiver import Receiver
 from streetscan.simulation.recording import Trajectory, drive_road, replay_pass, without_collisions
-from streetscan.simulation.rotating_lidar import HDL64E_RECEIVER, RotatingLidar, nominal_beams, read_beams, record_frame
+from streetscan.simulation.rotating_lidar import (
+    CAR_BOXES_M,
+    HDL64E_RECEIVER,
+    N_BEAMS,
+    RotatingLidar,
+    nominal_beams,
+    read_beams,
+    record_frame,
+)
 from streetscan.simulation.scene import Actor, Scene
+from streetscan.simulation.sensors import VEHICLE_BOX_M
 
 logger = logging.getLogger(__name__)
-_LOG_EVERY_S = 10.0
+_LOG_EVERY_S, _REMEMBERED = 10.0, 50
 _NS = 1_000_000_000
 # The place of a drive that is the mapping vehicle's own, on the day of the map.
 _MAPPING = "mapping"
@@ -94,7 +104,7 @@ class CameraMount:
             first = round((k + 0.5) / self.n_keyframes * end_s * self.rate_hz - self.window / 2)
             first = min(max(first, 0), max(n - self.window, 0))
             chosen |= set(range(first, min(first + self.window, n)))
-        if self.previews_per_s:
+        if self.previews_per_s and n:
             chosen |= {min(int((k + 0.5) / self.previews_per_s * self.rate_hz), n - 1) for k in range(int(end_s * self.previews_per_s))}
         return [((i + 0.5) / self.rate_hz, i - 1 in chosen) for i in sorted(chosen)]
 
@@ -160,10 +170,11 @@ class SimulatedRecording:
             Mounting(m["parent"], m["child"], geometry.transform(m["xyz_m"], np.radians(m["rpy_deg"])), m["source"]) for m in facts.mounting
         ]
         self._start_ns = nanoseconds(facts.start_time_s)
-        self._lidar = _make_lidar(drive.lidar, facts.rate_hz, data_root, seed)
+        self._lidar = _make_lidar(drive, facts.rate_hz, data_root, seed, facts.where)
         self._lenses = {name: mount.lens for name, mount in drive.cameras.items()}
         self._daylights = {name: Daylight(**mount.daylight) for name, mount in drive.cameras.items()}
         self._exposures: dict[str, AutoExposure] = {}
+        self._n_kept = 0
         one = drive.cameras.get(CAMERA)
         self.camera_model = None if one is None else self._lenses[CAMERA].model
         self.T_camera_lidar = None if one is None else self._place_of(one)
@@ -178,6 +189,8 @@ class SimulatedRecording:
             span_s = (-10.0, self._end_s + 5.0)
             scene = build_street(split=drive.split, seed=seed, day=drive.day, time_span_s=span_s, block=drive.blocks, **changed)
             self._trajectory = _plan(scene, drive, self._end_s, self._seed, facts.where)
+        if facts.crs != scene.crs:
+            raise BadInput(facts.where, f"crs {facts.crs} of a street in {scene.crs}", f"write crs: {scene.crs}")
         self._crs = scene.crs
         self._scene = without_collisions(scene, self._trajectory)
         self._caster = SceneCaster(self._scene, 0.0, self._end_s, n_threads)
@@ -196,19 +209,22 @@ class SimulatedRecording:
         """Frames, images and fixes in the order of time. A drive that was stopped gives what it had made again without making it."""
         rng = np.random.default_rng([self._seed, 1])
         fixes = record_fixes(self._caster, self._drive.gps, self._trajectory, self._crs, self._end_s, rng, self._start_ns)
-        events: list[tuple[int, Callable]] = [(fix.time_ns, lambda f=fix: f) for fix in fixes]
+        events: list[tuple[int, str, Callable]] = [(fix.time_ns, "fix", lambda f=fix: f) for fix in fixes]
         for n in range(self._drive.n_frames):
-            events.append((self._start_ns + round(self._lidar.stamp_s(n) * _NS), lambda n=n: self._frame(n)))
+            events.append((self._start_ns + round(self._lidar.stamp_s(n) * _NS), "frame", lambda n=n: self._frame(n)))
         for name, mount in self._drive.cameras.items():
             for n, (time_s, is_next) in enumerate(mount.image_times(self._end_s)):
-                events.append((self._stamp_of_image(mount, time_s), lambda c=name, n=n, t=time_s, i=is_next: self._image(c, n, t, i)))
-        progress = _Progress(len(events))
+                stamp_ns = self._stamp_of_image(mount, time_s)
+                events.append((stamp_ns, "image", lambda c=name, n=n, t=time_s, i=is_next: self._image(c, n, t, i)))
+        progress = _Progress(Counter(kind for _, kind, _ in events))
         yield from (replace(lens.model, camera=name) for name, lens in self._lenses.items())
-        for time_ns, make in sorted(events, key=lambda event: event[0]):
+        for time_ns, kind, make in sorted(events, key=lambda event: event[0]):
+            n_kept, started = self._n_kept, time.perf_counter()
             record = make()
             record.time_ns = time_ns
-            progress.step()
             yield record
+            # By now it is written, too.
+            progress.step(kind, time.perf_counter() - started if self._n_kept == n_kept else None)
 
     def _stamp_of_image(self, mount: CameraMount, time_s: float) -> int:
         return self._start_ns + round((time_s + mount.time_offset_s) * _NS)
@@ -300,7 +316,9 @@ class SimulatedRecording:
     def _keep(self, name: str, make: Callable[[], dict]) -> dict[str, np.ndarray]:
         """Arrays made now, or by a run that was stopped."""
         path = self._kept / f"{name}.npz"
-        if not path.is_file():
+        if path.is_file():
+            self._n_kept += 1
+        else:
             with atomic_path(path) as partial, partial.open("wb") as stream:
                 np.savez(stream, **make())
         with np.load(path) as arrays:
@@ -308,20 +326,35 @@ class SimulatedRecording:
 
 
 class _Progress:
-    """Says now and then how far a long work is and how long it will still take."""
+    """Says now and then how far a drive is and how long it will still take; an image takes longer than a frame, a fix no time."""
 
-    def __init__(self, n: int):
-        self._n, self._done = n, 0
+    def __init__(self, counts: Counter):
+        """
+        Args:
+            counts: how many records of each kind are to come.
+        """
+        self._n, self._left = counts.total(), counts.copy()
+        # Of the last ones of each kind; their median passes over the first, for which kernels are compiled.
+        self._seconds = {kind: deque(maxlen=_REMEMBERED) for kind in counts}
         self._started = self._said = time.perf_counter()
 
-    def step(self) -> None:
-        """One more is done."""
-        self._done += 1
-        now = time.perf_counter()
-        if now - self._said >= _LOG_EVERY_S or self._done == self._n:
-            left_s = (now - self._started) / self._done * (self._n - self._done)
-            logger.info("%d of %d frames, images and fixes after %.0f s, %.0f s left", self._done, self._n, now - self._started, left_s)
+    def step(self, kind: str, seconds: float | None) -> None:
+        """One more is done, in so many seconds; None when a run that was stopped had made it."""
+        self._left[kind] -= 1
+        if seconds is not None:
+            self._seconds[kind].append(seconds)
+        now, n_left = time.perf_counter(), self._left.total()
+        if now - self._said >= _LOG_EVERY_S or not n_left:
+            said = self._n - n_left, self._n, now - self._started, self.left_s
+            logger.info("%d of %d frames, images and fixes after %.0f s, about %.0f s left", *said)
             self._said = now
+
+    @property
+    def left_s(self) -> float:
+        """Seconds still to go; a kind of which none was made yet counts as the mean of the others."""
+        known = {kind: float(np.median(seconds)) for kind, seconds in self._seconds.items() if seconds}
+        usual = float(np.mean(list(known.values()))) if known else 0.0
+        return sum(n * known.get(kind, usual) for kind, n in self._left.items())
 
 
 def count_changes(changes: list[dict]) -> dict:
@@ -336,11 +369,18 @@ def count_changes(changes: list[dict]) -> dict:
     return result
 
 
-def _make_lidar(settings: dict, rate_hz: float, data_root: str | Path, seed: int) -> RotatingLidar:
+def _make_lidar(drive: SimulatedDrive, rate_hz: float, data_root: str | Path, seed: int, where: object) -> RotatingLidar:
+    settings, boxes = drive.lidar, (VEHICLE_BOX_M,) if drive.is_mapping else CAR_BOXES_M
     calibration = settings.get("calibration")
     beams = nominal_beams(seed) if calibration is None else read_beams(Path(data_root) / calibration, seed)
+    if len(beams) != N_BEAMS:
+        raise BadInput(Path(data_root) / calibration, f"{len(beams)} lasers", f"give the calibration of a HDL-64E, which has {N_BEAMS}")
+    height_m, roof_m = settings["xyz_m"][2], max(high[2] for _, high in boxes)
+    if height_m <= roof_m:
+        found = f"simulation.lidar.xyz_m puts the lidar {height_m} m above the road"
+        raise BadInput(where, found, f"put it above the vehicle's roof, which is {roof_m} m high")
     T = geometry.transform(settings["xyz_m"], np.radians(settings["rpy_deg"]))
-    return RotatingLidar(beams, rate_hz, T, Receiver(**HDL64E_RECEIVER | settings.get("receiver", {})))
+    return RotatingLidar(beams, rate_hz, T, Receiver(**HDL64E_RECEIVER | settings.get("receiver", {})), vehicle_boxes_m=boxes)
 
 
 def _plan(scene: Scene, drive: SimulatedDrive, duration_s: float, seed: int, where: object) -> Trajectory:

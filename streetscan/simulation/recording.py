@@ -309,7 +309,7 @@ def replay_pass(split: str, seed: int, street: dict, block: int) -> tuple[Scene,
     """A block of a street on the day of its map, and where the mapping vehicle truly was on its first drive along the main road.
 
     Args:
-        split, seed, street: as `record_street` had them, with one round.
+        split, seed, street: as `record_street` had them; its `n_rounds`, which shape the traffic, among the street's settings.
         block: its number.
     """
     scene = build_street(split=split, seed=seed, block=block, **street)

@@ -23,7 +23,8 @@ from streetscan.simulation.sensors import hits_own_vehicle
 _FIRINGS_PER_S = 64 / 48e-6
 # ASSUME: the car below the sensor: its body up to the bonnet, and the crown of its roof between the rails that carry the sensor;
 # corners as in sensors.VEHICLE_BOX_M, origin on the road below the rear axle.
-_CAR_BOXES_M = (((-1.0, -0.9, 0.0), (3.5, 0.9, 0.95)), ((-0.25, -0.4, 0.0), (1.6, 0.4, 1.5)))
+CAR_BOXES_M = (((-1.0, -0.9, 0.0), (3.5, 0.9, 0.95)), ((-0.25, -0.4, 0.0), (1.6, 0.4, 1.5)))
+N_BEAMS = 64
 
 # 50 m on 10 % and 120 m on 80 % reflectance, 1-2 cm (Józsa & Benedek 2013, 2.3). ASSUME: the strongest echo is the one reported, the
 # beam opens by 2 mrad, returns below 0.9 m are suppressed, echoes within a pulse's 5 ns (0.75 m) merge, and 2 % are lost unexplained.
@@ -119,6 +120,7 @@ class RotatingLidar:
         T_vehicle_lidar: (4, 4) where it sits; frame `vehicle` has its origin on the road below the rear axle.
         receiver: the receiving side.
         firings_per_s: of all beams together.
+        vehicle_boxes_m: (low, high) corners, frame `vehicle`, of what the vehicle hides below the sensor.
     """
 
     beams: Beams
@@ -126,6 +128,7 @@ class RotatingLidar:
     T_vehicle_lidar: np.ndarray
     receiver: Receiver
     firings_per_s: float = _FIRINGS_PER_S
+    vehicle_boxes_m: tuple = CAR_BOXES_M
 
     def stamp_s(self, number: int) -> float:
         """When the head faces forward in revolution `number`; revolution 0 begins at time 0."""
@@ -173,7 +176,9 @@ def record_frame(caster: SceneCaster, lidar: RotatingLidar, trajectory: Trajecto
     origins, directions = lidar.rays(number, times_s, beams)
     T = lidar.T_vehicle_lidar
     body = directions @ T[:3, :3].T
-    is_free = ~np.any([hits_own_vehicle(T[:3, 3] + [0, 0, lidar.beams.heights_m.mean()], body, box) for box in _CAR_BOXES_M], axis=0)
+    is_free = ~np.any(
+        [hits_own_vehicle(T[:3, 3] + [0, 0, lidar.beams.heights_m.mean()], body, box) for box in lidar.vehicle_boxes_m], axis=0
+    )
     times_s, beams, order, origins, directions, body = (v[is_free] for v in (times_s, beams, order, origins, directions, body))
 
     positions, rotations = trajectory.at(times_s)

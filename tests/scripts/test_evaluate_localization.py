@@ -13,7 +13,7 @@ from streetscan.localization.localizer import Location, Start
 from streetscan.localization.location_tables import tabulate_locations
 
 
-def evaluate(files, folder, poses, statuses, with_floor=False, **changes):
+def evaluate(files, folder, poses, statuses, with_floor=False, settings=None, **changes):
     """Scores of made-up poses."""
     rows = []
     for i, (T, status) in enumerate(zip(poses, statuses, strict=True)):
@@ -23,7 +23,7 @@ def evaluate(files, folder, poses, statuses, with_floor=False, **changes):
     inputs = {"drive_path": files.drive, "truth_path": files.truth, "poses_path": folder / "poses.csv", "reference_path": files.reference}
     inputs |= {"landmarks_path": files.landmarks, "voxels_path": files.voxels, "labels_path": files.labels} | changes
     paths = {"errors_path": folder / "errors.csv", "scores_path": folder / "scores.csv"}
-    evaluate_localization.main(**inputs, **paths, settings={}, with_floor=with_floor)
+    evaluate_localization.main(**inputs, **paths, settings=settings or {}, with_floor=with_floor)
     return pd.read_csv(paths["errors_path"]), pd.read_csv(paths["scores_path"]).set_index("metric")["value"]
 
 
@@ -36,7 +36,7 @@ def test_truth_scores_perfectly(localization_files, tmp_path):
     assert scores["nees_mean"] < 1e-6
     assert scores["floor_translation_median"] < 0.1
     # What is left of the keypoint distance is how differently a frame and a map see an object.
-    assert scores["keypoint_distance_mean"] < 0.4
+    assert scores["keypoint_distance_mean"] == scores["vote_keypoint_distance_mean"] < 0.4
     assert 5 < scores["good_landmarks"] < 60
     assert np.allclose(errors["start_m"], 5)
     assert (errors["phantom_share"] == 0).all()
@@ -58,6 +58,19 @@ def test_a_wrong_pose_that_is_believed_is_counted(localization_files, tmp_path):
     assert scores["n_wrong_but_ok"] == 2
     assert scores["ambiguous_right"] == 1
     assert scores["off_map_wrong"] == 1
+
+
+def test_the_keypoint_distance_grows_with_the_error_and_the_strategy_does_not_change_it(localization_files, tmp_path):
+    truth = localization_files.poses
+    shifted = truth.copy()
+    shifted[:, :3, 3] += [2.0, 0, 0]
+    at_truth, off = (evaluate(localization_files, tmp_path, poses, ["ok"] * 4)[0]["keypoint_m"] for poses in (truth, shifted))
+    known = at_truth.notna()
+    assert known.sum() == 3
+    assert (np.abs(off - at_truth)[known] > 1).all()
+    assert (off[known] < at_truth[known] + 2.001).all()
+    by_centres = evaluate(localization_files, tmp_path, shifted, ["ok"] * 4, settings={"n_keypoints": 1})[0]["keypoint_m"]
+    assert np.allclose(by_centres[known], off[known])
 
 
 def test_a_map_without_true_classes(localization_files, tmp_path):

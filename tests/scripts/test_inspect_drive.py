@@ -83,7 +83,7 @@ def test_an_image_of_another_place_is_not_shown(tmp_path):
     page = sheet(tmp_path, write_facts(tmp_path / "toy.yaml", kitti_facts()), tmp_path, "toy")
     captions = [t for t in page.texts if t.startswith("Image of frame")]
     assert [c.split(" (")[0] for c in captions] == ["Image of frame 0", "Image of frame 2"]
-    assert "2 ok, 1 missing" in page.texts
+    assert "2 of camera; beside the frames: 2 ok, 1 missing" in page.texts
 
 
 def test_whole_frames_are_shown_as_wide_as_they_are(tmp_path):

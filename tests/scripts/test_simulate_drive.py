@@ -2,6 +2,7 @@
 
 import json
 import re
+from collections import Counter
 
 import numpy as np
 import pandas as pd
@@ -24,7 +25,7 @@ from streetscan.io.images import decode_image
 from streetscan.io.mcap import iterate_drive, iterate_lidar, read_camera_model, read_topics
 from streetscan.io.trajectories import read_poses_csv, read_tum
 from streetscan.simulation import drives
-from streetscan.simulation.camera import project
+from streetscan.simulation.camera import pixel_rays, project
 from streetscan.simulation.changes import Day
 from streetscan.simulation.colouring import Cameras
 from streetscan.simulation.layout import build_street
@@ -35,6 +36,8 @@ from streetscan.simulation.sensors import mobile_mapper
 FACTS = ROOT / "config" / "drives" / "city_tiny_main_road.yaml"
 TINY = yaml.safe_load((ROOT / "config" / "datasets" / "city_tiny.yaml").read_text())
 STREET = TINY["simulation"]["street"] | {"length_m": TINY["parts"]["test"]["length_m"], "crs": TINY["crs"]}
+CAMERA = {"xyz_m": [1.25, 0.08, 1.58], "rpy_deg": [0.6, 1.5, -0.8], "n_keyframes": 1, "window": 3, "time_offset_s": 0.004}
+SMALL = {"width": 321, "height": 241, "focal_px": 250.0}
 
 
 def run(folder, facts=FACTS, seed=1):
@@ -185,11 +188,24 @@ def test_another_seed_is_another_drive(drive, tmp_path):
         ({"place": "bridge"}, "place 'bridge' number 0 of a street that has 0"),
         ({"n_frames": 600}, "600 frames take 60.0 s"),
         ({"start_m": 200}, "start_m 200 on a line of 28 m"),
+        ({"lidar": {"xyz_m": [0.8, 0, 1.4], "rpy_deg": [0, 0, 0]}}, "1.4 m above the road; put it above the vehicle's roof"),
+        ({"lidar": {"xyz_m": [0.8, 0, 1.7], "rpy_deg": [0, 0, 0], "calibration": "two.yaml"}}, "two.yaml: 2 lasers; give the calibration"),
+        ({"camera": CAMERA | {"settings": {"exposure_s": [8e-3, 5e-5]}}}, "exposure_s: .* shortest exposure first"),
+        ({"camera": CAMERA | {"settings": {"distortion": [-0.35, 0, 0, 0]}}}, "shows nothing beyond 651 pixels"),
     ],
 )
 def test_an_impossible_drive_is_refused(changes, message, tmp_path):
+    lasers = [{"laser_id": i, "rot_correction": 0.0, "vert_correction": 0.02 * i} for i in (0, 1)]
+    (tmp_path / "two.yaml").write_text(yaml.safe_dump({"lasers": lasers}))
     with pytest.raises(BadInput, match=message):
         run(tmp_path, write_changed(tmp_path / "f.yaml", **changes))
+
+
+def test_a_drive_in_another_reference_system_than_its_street_is_refused(tmp_path):
+    facts = yaml.safe_load(FACTS.read_text()) | {"crs": "EPSG:32634"}
+    (tmp_path / "f.yaml").write_text(yaml.safe_dump(facts))
+    with pytest.raises(BadInput, match="crs EPSG:32634 of a street in EPSG:23700"):
+        run(tmp_path, tmp_path / "f.yaml")
 
 
 def test_a_drive_without_its_section_is_refused(tmp_path):
@@ -198,10 +214,6 @@ def test_a_drive_without_its_section_is_refused(tmp_path):
     (tmp_path / "f.yaml").write_text(yaml.safe_dump(facts))
     with pytest.raises(BadInput, match="'simulation' is a required property"):
         read_drive_facts(tmp_path / "f.yaml", SCHEMA)
-
-
-CAMERA = {"xyz_m": [1.25, 0.08, 1.58], "rpy_deg": [0.6, 1.5, -0.8], "n_keyframes": 1, "window": 3, "time_offset_s": 0.004}
-SMALL = {"width": 321, "height": 241, "focal_px": 250.0}
 
 
 @pytest.fixture(scope="module")
@@ -223,6 +235,8 @@ def test_images_stand_in_windows_at_the_full_rate():
     every = drives.CameraMount(**CAMERA | {"is_full_rate": True}).image_times(6.0)
     assert len(every) == 168
     assert sum(follows for _, follows in every) == 167
+    # A drive over before the first image has none.
+    assert drives.CameraMount(**CAMERA | {"rate_hz": 2.0, "previews_per_s": 5.0}).image_times(0.4) == []
 
 
 def test_images_masks_and_lidar_agree_through_the_true_extrinsics(filmed):
@@ -257,6 +271,47 @@ def test_images_masks_and_lidar_agree_through_the_true_extrinsics(filmed):
     # The camera sees past edges where the lidar does not; most of what both see is the same.
     assert (seen == instances[inside]).mean() > 0.85
     assert decode_image(image).shape == (241, 321, 3)
+
+
+def test_an_image_shows_what_its_own_camera_pose_sees(filmed):
+    """Pixel by pixel what the rays of the written pose meet at the moment the stamp stands for, neither 4 ms earlier nor later."""
+    facts = read_drive_facts(filmed / "f.yaml", SCHEMA)
+    recording = drives.SimulatedRecording(facts, "tiny", STREET, 1, filmed, filmed / "again", 1)
+    _, stamps, T_map_camera = read_poses_csv(filmed / "truth" / "camera_poses.csv")
+    offset_s = yaml.safe_load((filmed / "truth" / "truth.yaml").read_text())["extrinsics"]["time_offset_s"]
+    pixels = np.stack(np.meshgrid(np.arange(2, 321, 3), np.arange(2, 241, 3)), axis=-1).reshape(-1, 2)
+    rays = np.column_stack([pixel_rays(pixels, read_camera_model(filmed / "drive.mcap")), np.ones(len(pixels))])
+    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+    for k, (stamp, T) in enumerate(zip(stamps, T_map_camera, strict=True)):
+        time_s = stamp - offset_s - facts.start_time_s
+        origins, times = np.tile(T[:3, 3], (len(rays), 1)), np.full(len(rays), time_s)
+        hits = recording._caster.cast(origins, (rays @ T[:3, :3].T).astype(np.float32), times)
+        with np.load(filmed / "truth" / "masks" / f"{k:06d}.npz") as mask:
+            seen = mask["instances"][pixels[:, 1], pixels[:, 0]]
+        assert (seen == np.where(hits.faces >= 0, recording._caster.instances[hits.faces], 0)).mean() > 0.998
+
+
+def test_the_page_lays_a_frame_on_its_image_as_it_was_at_that_moment(filmed):
+    """What stands still comes to where the image's own pose sees it; as fired it is as far off as the car drove in between."""
+    inspection = inspect_drive(filmed / "drive.mcap", filmed / "frames.csv", filmed / "truth")
+    _, stamps, T_map_camera = read_poses_csv(filmed / "truth" / "camera_poses.csv")
+    assert inspection.image_times_s["camera"] == pytest.approx(stamps, abs=1e-6)
+    times_s, trajectory = read_tum(filmed / "truth" / "trajectory.tum")
+    T_vehicle_lidar = np.array(yaml.safe_load((filmed / "truth" / "truth.yaml").read_text())["mountings"]["T_vehicle_lidar"])
+    for row, images in inspection.images.items():
+        frame, number = inspection.pictured[row], int(np.argmin(np.abs(stamps - images["camera"].time_ns * 1e-9)))
+        fired = geometry.interpolate_poses(frame.time_ns / 1e9 + frame.time_offset_s.astype(np.float64), times_s, trajectory)
+        in_map = geometry.apply(fired @ T_vehicle_lidar, frame.points)
+        expected = geometry.apply(geometry.invert(T_map_camera[number]), in_map)
+        near = (expected[:, 2] > 2) & (np.linalg.norm(expected, axis=1) < 20)
+        carried, is_carried = inspection.points_at_image(row, "camera")
+        off_m = [
+            np.linalg.norm(geometry.apply(inspection.T_camera_lidar["camera"], p)[near] - expected[near], axis=1)
+            for p in (carried, frame.points)
+        ]
+        assert is_carried
+        assert near.sum() > 10_000
+        assert off_m[0].max() < 0.02 < np.median(off_m[1])
 
 
 def test_frames_say_whether_they_have_an_image_and_the_file_does_not_tell_where_the_camera_is(filmed):
@@ -321,6 +376,17 @@ def test_six_cameras_have_topics_and_truth_of_their_own(mapped):
     assert min(shares[name] for name in names[:5]) > 0.1
 
 
+def test_the_mapping_vehicle_hides_what_its_roof_hides(mapped, drive):
+    """The van is longer and wider than the car: its lidar sees the road from farther on, ahead and to the sides."""
+    nearest = {}
+    for name, folder in (("van", mapped), ("car", drive)):
+        frame = next(iterate_lidar(folder / "drive.mcap"))
+        road = frame.points[np.load(folder / "truth" / "labels" / "000000.npy") == GROUND]
+        ahead = (np.abs(road[:, 1]) < 0.5) & (road[:, 0] > 0)
+        nearest[name] = road[ahead, 0].min()
+    assert nearest["van"] > nearest["car"] + 2
+
+
 def test_the_page_of_six_cameras_shows_them_all(mapped):
     inspection = inspect_drive(mapped / "drive.mcap", mapped / "frames.csv", mapped / "truth")
     assert inspection.changes is None
@@ -348,9 +414,41 @@ def test_the_mapping_drive_is_the_first_pass_of_the_map_in_its_own_world(mapped)
     assert pd.read_csv(mapped / "truth" / "changes.csv").empty
 
 
-def test_a_mapping_drive_has_no_day_of_its_own(tmp_path):
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [("day", {"number": 3}), ("speed_kmh", 20), ("start_m", 5), ("number", 1), ("traffic_density", 0.3), ("blocks", [0, 1])],
+)
+def test_a_mapping_drive_is_the_maps_own(key, value, tmp_path):
     facts = yaml.safe_load(MAPPING.read_text())
-    facts["simulation"]["day"] = {"number": 3}
+    facts["simulation"][key] = value
     (tmp_path / "f.yaml").write_text(yaml.safe_dump(facts))
-    with pytest.raises(BadInput, match="simulation"):
+    with pytest.raises(BadInput, match=rf"simulation\.{key}.* at place 'mapping'"):
         read_drive_facts(tmp_path / "f.yaml", SCHEMA)
+
+
+def test_the_mapping_drive_meets_the_traffic_of_a_map_driven_twice():
+    """How often the map's vehicle drives decides who else is there."""
+    street = STREET | {"n_rounds": 2}
+    scene, trajectory = replay_pass("test", 1, street, 0)
+    once, _ = replay_pass("test", 1, STREET, 0)
+    mapped = build_street(split="test", seed=1, block=0, **street)
+    times = np.array([1.0])
+    places, of_map, of_once = (sorted(a.pose_at(times)[0][0].tolist() for a in s.actors) for s in (scene, mapped, once))
+    assert places == of_map != of_once
+    assert trajectory.start_s == 0
+
+
+def test_time_left_knows_that_an_image_takes_longer_than_a_frame():
+    progress = drives._Progress(Counter(frame=11, image=2, fix=100))
+    progress.step("frame", 20.0)  # the first compiles
+    for _ in range(4):
+        progress.step("frame", 0.5)
+    progress.step("image", 6.0)
+    progress.step("fix", 0.0)
+    assert progress.left_s == pytest.approx(6 * 0.5 + 6.0)
+    # What a run that was stopped had made takes no time, and tells nothing of what is left.
+    resumed = drives._Progress(Counter(frame=11))
+    for _ in range(9):
+        resumed.step("frame", None)
+    resumed.step("frame", 0.5)
+    assert resumed.left_s == pytest.approx(0.5)

@@ -5,6 +5,7 @@ import pandas as pd
 import pytest
 
 from scripts import tabulate_benchmarks
+from streetscan.benchmarks.localizations import Localization, draw_localizations, localization_scores
 from streetscan.benchmarks.scores import read_scores
 from streetscan.errors import BadInput
 from streetscan.geometry import transform
@@ -16,7 +17,7 @@ from streetscan.segmentation.metrics import evaluate_labels
 
 CONFIG = {"run": "try", "seed": 1, "labelled_maps": ["city/c2cnn"]}
 TABLES = {"nagy_1_2", "nagy_2_3", "nagy_2_4", "nagy_2_3_natural", "map_cleaning", "jozsa_1", "jozsa_2", "registration", "grid_classes"}
-TABLES |= {"nagy_3_1", "localization", "confidence"}
+TABLES |= {"nagy_3_1", "localization", "localization_verdicts", "confidence"}
 REGISTERED = [("my_drive", "ndt_tall"), ("my_drive", "ndt_raw"), ("my_drive", "kiss_icp")]
 LOCALIZED = [("city", "my_drive", m, n, "main_road") for m, n in (("raw", "voting_8"), ("c2cnn", "voting_8"), ("c2cnn", "crossmodal"))]
 EVALUATED = [("city", "c2cnn"), ("oakland", "c2cnn_from_city")]
@@ -183,8 +184,33 @@ def test_localized_drives(inputs, tmp_path):
     assert rates[("my_drive/c2cnn/voting_8", "success")] == 90
     assert rates[("my_drive/c2cnn/voting_8", "ok")] == 90
     assert rates[("my_drive/c2cnn/voting_8", "n_wrong_but_ok")] == 1
+    verdicts = scores[scores["table"] == "localization_verdicts"].set_index(["row", "column"])["ours"]
+    assert verdicts["my_drive/c2cnn/voting_8"].to_dict() == {"ok right": 8, "ok wrong": 1, "ambiguous right": 1, "ambiguous wrong": 0}
+    assert not rates.index.get_level_values("row").str.startswith("all_drives").any()
+    assert "The raw map is clearly worse: 4.0 times" in (tmp_path / "out" / "report.html").read_text()
     for name in ("nagy_fig_3_8_my_drive.svg", "localized_my_drive.svg"):
         assert (tmp_path / "out" / "figures" / name).is_file()
+
+
+def test_several_drives_have_a_row_and_a_text_together_and_an_equal_raw_map_is_explained(tmp_path):
+    names = [("city", drive, labels, "voting_8", "main_road") for drive in ("a", "b") for labels in ("raw", "c2cnn", "oracle_truth")]
+    on_maps = [Localization(*name, localized(0.1 if name[2] == "oracle_truth" else 0.2)) for name in names]
+    rows = {(r["row"], r["column"]): r for r in localization_scores(on_maps)}
+    assert rows[("all_drives/c2cnn/voting_8", "success")]["n"] == 20
+    assert rows[("all_drives/c2cnn/voting_8", "ok wrong")]["ours"] == 2
+    together, *each = draw_localizations(tmp_path, on_maps, [str(tmp_path)] * len(on_maps))
+    assert [s.heading for s in (together, *each)] == [f"{name} on the map of city" for name in ("All drives", "A", "B")]
+    for section in (together, *each):
+        assert "not clearly worse: 1.0 times" in section.text
+        assert "50 % and 0 % better" in section.text
+
+
+def test_figure_3_8_compares_poses_of_25_frames_even_where_a_slow_method_has_no_others(tmp_path):
+    slow = localized(0.2).iloc[::3]
+    on_maps = [Localization("city", "a", "c2cnn", name, "", localized(0.2)) for name in ("voting_1", "voting_8", "ndt_from_gps")]
+    on_maps.append(Localization("city", "a", "c2cnn", "kiss_matcher", "", slow))
+    section = draw_localizations(tmp_path, on_maps, [str(tmp_path)] * len(on_maps))[-1]
+    assert f"{len(slow)} frames of A" in section.figures[0].caption
 
 
 def test_the_same_inputs_give_the_same_files(inputs, tmp_path):

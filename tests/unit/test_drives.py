@@ -6,6 +6,7 @@ import laspy
 import numpy as np
 import pandas as pd
 import pytest
+import yaml
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from mcap.reader import make_reader
@@ -366,6 +367,20 @@ def test_not_one_usable_frame(tmp_path, kitti):
 def test_wrong_keys_are_named(tmp_path, change, found):
     with pytest.raises(BadInput, match=found):
         read_drive_facts(write_facts(tmp_path / "toy.yaml", kitti_facts(**change)), SCHEMA)
+
+
+@pytest.mark.parametrize("key", ["root", "camera", "gps", "frames"])
+def test_what_a_simulated_drive_would_not_read_is_refused(tmp_path, key):
+    facts = yaml.safe_load((ROOT / "config" / "drives" / "city_tiny_main_road.yaml").read_text())
+    facts[key] = {"root": "drive", "camera": {"n_keyframes": 3}, "gps": {"topic": "/fix"}, "frames": [1]}[key]
+    with pytest.raises(BadInput, match=f"a key {key}; remove it"):
+        read_drive_facts(write_facts(tmp_path / "toy.yaml", facts), SCHEMA)
+
+
+def test_a_recording_is_not_simulated(tmp_path):
+    simulation = yaml.safe_load((ROOT / "config" / "drives" / "city_tiny_main_road.yaml").read_text())["simulation"]
+    with pytest.raises(BadInput, match="a section simulation beside reader 'folder'"):
+        read_drive_facts(write_facts(tmp_path / "toy.yaml", kitti_facts(simulation=simulation)), SCHEMA)
 
 
 def test_no_yaml_at_all(tmp_path):

@@ -96,9 +96,11 @@ def test_landmarks_and_reference_survive_their_files(tmp_path):
 def test_landmarks_of_another_map_are_refused(tmp_path):
     reference = make_street_reference()
     reference.save(tmp_path / "reference.npz")
-    reference.landmarks.moved(reference.origin + [1000.0, 0, 0]).save(tmp_path / "landmarks.npz")
-    with pytest.raises(BadInput, match="no landmark on the map"):
-        Reference.load(tmp_path / "reference.npz", tmp_path / "landmarks.npz")
+    # A kilometre off, and of a street that begins where this one ends.
+    for shift_m in (1000.0, 90.0):
+        reference.landmarks.moved(reference.origin + [shift_m, 0, 0]).save(tmp_path / "landmarks.npz")
+        with pytest.raises(BadInput, match="of them on the map"):
+            Reference.load(tmp_path / "reference.npz", tmp_path / "landmarks.npz")
     (tmp_path / "text.npz").write_text("no archive")
     with pytest.raises(BadInput, match="cluster_landmarks"):
         Landmarks.load(tmp_path / "text.npz")

@@ -1,5 +1,5 @@
 import zlib
-from itertools import pairwise
+from itertools import combinations, pairwise
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 
 from streetscan import classes
 from streetscan.errors import BadInput
-from streetscan.simulation import terrain
+from streetscan.simulation import shapes, terrain
 from streetscan.simulation.blocks import plan_block
 from streetscan.simulation.layout import build_street, count_blocks
 from streetscan.simulation.meshes import triangle_areas
@@ -19,6 +19,23 @@ from streetscan.simulation.meshes import triangle_areas
 @pytest.fixture(scope="module")
 def tiny():
     return {split: build_street(28.0, split, 0) for split in ("train", "validation", "test")}
+
+
+@pytest.fixture(scope="module")
+def designs():
+    """Base shape and design of everything that stands or moves in each split's street."""
+    drawn, make = {}, shapes.make_object
+    with pytest.MonkeyPatch.context() as patch:
+        for split in ("train", "validation", "test"):
+            used = drawn[split] = set()
+
+            def make_and_note(name, design, rng, used=used):
+                used.add((name, design))
+                return make(name, design, rng)
+
+            patch.setattr(shapes, "make_object", make_and_note)
+            build_street(28.0, split, 0)
+    return drawn
 
 
 @pytest.fixture(scope="module")
@@ -67,6 +84,17 @@ def test_splits_share_no_place_no_instance_and_no_facade(tiny):
         assert np.linalg.norm(boxes[0].mean(axis=0) - boxes[1].mean(axis=0)) > 1000
 
 
+def test_splits_share_no_design_of_what_stands_or_moves(designs):
+    for a, b in combinations(designs, 2):
+        assert not designs[a] & designs[b]
+    for used in designs.values():
+        names = {name for name, _ in used}
+        # The layout's standing objects and the traffic's moving ones have both gone through the same door.
+        assert names & set(shapes.LAMPS)
+        assert names & set(shapes.WALKERS)
+        assert "cyclist" in names
+
+
 def test_same_seed_gives_the_same_street_and_another_seed_another():
     a, b, c = (build_street(28.0, "train", seed, time_span_s=(0.0, 2.0)) for seed in (0, 0, 1))
     assert np.array_equal(a.static.vertices, b.static.vertices)
@@ -76,8 +104,9 @@ def test_same_seed_gives_the_same_street_and_another_seed_another():
     assert len(a.static.vertices) != len(c.static.vertices)
 
 
-def test_city_has_all_kinds_of_place_and_a_narrow_road():
-    plan = plan_block(0, 0.0, 120.0, True, True, "train", 1, 1.0, 30.0)
+@pytest.mark.parametrize("split", ["train", "validation", "test"])
+def test_city_has_all_kinds_of_place_and_a_narrow_road(split):
+    plan = plan_block(0, 0.0, 120.0, True, True, split, 1, 1.0, 30.0)
     kinds = {k for z in plan.zones for k in (z.left, z.right)}
     assert kinds == {"buildings", "square", "park", "bridge"}
     assert len(plan.crossings) == 1
@@ -85,6 +114,13 @@ def test_city_has_all_kinds_of_place_and_a_narrow_road():
     assert edges[0][0] == 0
     assert edges[-1][1] == 120
     assert all(a[1] == b[0] for a, b in pairwise(edges))
+
+
+@pytest.mark.xfail(strict=True, reason="version 1: rounding lets the bus at the stop take the shelter's place; to be mended with version 2")
+@pytest.mark.parametrize("split", ["train", "validation", "test"])
+def test_stops_of_the_city_have_shelters(split):
+    plan = plan_block(0, 0.0, 120.0, True, True, split, 1, 1.0, 30.0)
+    assert [i.name for i in plan.items].count("bus_shelter") == len(plan.stops) == 2
 
 
 def test_city_mesh_is_valid_and_not_too_large(city):

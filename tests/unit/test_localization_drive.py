@@ -6,7 +6,7 @@ import pytest
 from streetscan.errors import BadInput
 from streetscan.frames import LidarFrame
 from streetscan.geometry import transform
-from streetscan.localization.drive import DriveSettings, localize_drive
+from streetscan.localization.drive import DriveSettings, localize_drive, spread_frames
 from streetscan.localization.localizer import Location
 from streetscan.localization.starts import Starts
 
@@ -59,6 +59,15 @@ def test_every_frame_from_gps():
 def test_every_second_frame_from_the_third_on():
     rows = list(localize_drive(frames(), starts(), Oracle(blind=range(N)), DriveSettings(every=2, first=3)))
     assert [r.index for r in rows] == [3, 5, 7, 9, 11]
+
+
+def test_some_frames_evenly_over_the_drive():
+    rows = list(localize_drive(frames(), starts(), Oracle(blind=range(N)), DriveSettings(n_frames=4)))
+    assert [r.index for r in rows] == [0, 3, 7, 11]
+    rows = list(localize_drive(frames(), starts(), Oracle(blind=range(N)), DriveSettings(n_frames=2, first=1, every=3)))
+    assert [r.index for r in rows] == [1, 10]
+    assert spread_frames([4, 5], 25) == [4, 5]
+    assert spread_frames([], 25) == []
 
 
 def test_tracking_predicts_with_the_motion():

@@ -61,6 +61,15 @@ def test_known_transform_is_recovered(clouds):
     assert result.score / result.overlap > 0.3
 
 
+def test_the_score_of_a_pose_is_that_of_a_fit_that_takes_no_step(clouds):
+    (target, source), T = clouds
+    settings = NdtSettings(sizes_m=(1.0,), max_iterations=0)
+    fields = build_fields(target, settings)
+    for at in (T, np.eye(4)):
+        assert fields[0].score(source, at) == pytest.approx(fit(fields, source, at, settings).score, rel=1e-12)
+    assert fields[0].score(np.empty((0, 3)), T) == 0
+
+
 def test_exact_copy_with_a_large_motion_comes_back(clouds):
     (target, _), _ = clouds
     T = transform([2.0, -0.5, 0.1], [0.01, -0.01, 0.06])

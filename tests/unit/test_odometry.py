@@ -8,7 +8,7 @@ from street_frames import PERIOD_S, drive, pose, scan, street_boxes
 
 from streetscan.errors import BadInput
 from streetscan.geometry import invert, rotation_angle, transform
-from streetscan.registration.grid_classes import segment_frame
+from streetscan.registration.grid_classes import TALL_STRUCTURE, segment_frame
 from streetscan.registration.ndt import NdtSettings
 from streetscan.registration.odometry import (
     STATUSES,
@@ -110,6 +110,24 @@ def test_a_bad_frame_keeps_its_row_and_the_chain_goes_on(straight, odometry_afte
     assert max(errors(following, truth)) < 0.1
 
 
+def test_a_clock_that_was_set_back_breaks_the_chain(straight, odometry_after):
+    frames, truth = straight
+    odometry, n_lost = odometry_after(), SETTINGS.max_lost_frames
+    rows = [odometry.add(replace(f, time_s=f.time_s - 60)) for f in frames[10:]]
+    assert [r.status for r in rows] == ["time_backwards"] * n_lost + ["start"] + ["ok"] * (len(rows) - n_lost - 1)
+    assert rows[-1].segment == 1
+    since_start = invert(truth[10 + n_lost]) @ truth[rows[-1].index]
+    assert np.linalg.norm((invert(since_start) @ rows[-1].T_segment_lidar)[:3, 3]) < 0.1
+
+
+def test_one_stamp_far_ahead_does_not_end_the_drive(straight, odometry_after):
+    frames, _ = straight
+    odometry = odometry_after()
+    rows = [odometry.add(replace(frames[10], time_s=3600.0)), *(odometry.add(f) for f in frames[11:])]
+    assert not rows[0].is_posed
+    assert [r.status for r in rows[1:]] == ["time_backwards"] * 9 + ["start"] + ["ok"] * (len(rows) - 11)
+
+
 def test_nan_points_do_not_matter(straight, odometry_after):
     frames, truth = straight
     points = np.insert(frames[10].points, [0, 500, 9000], np.nan, axis=0)
@@ -158,6 +176,24 @@ def test_standing_does_not_drift(target):
     assert all(r.is_posed for r in rows)
     assert max(np.linalg.norm(r.T_segment_lidar[:3, 3]) for r in rows) < 0.02
     assert max(rotation_angle(r.T_segment_lidar) for r in rows) < np.radians(0.1)
+
+
+def test_a_convoy_does_not_carry_the_street_along():
+    """Ten cars keep their distance; with them and the rings on the road raw frames stand still (Józsa & Benedek 2013, 6.3)."""
+    rng, boxes, step_m = np.random.default_rng(0), street_boxes(), 0.4
+    places = [(8, -0.9), (-12, -0.9), (16, -0.9), (2, 2.4), (-5, 2.4), (10, 2.4), (0, -4.0), (7.5, -4.0), (-8, -4.0), (17, 2.4)]
+    frames = []
+    for i in range(8):
+        cars = [(i * step_m + x, y, 0.25, i * step_m + x + 4.2, y + 1.7, 1.45) for x, y in places]
+        frames.append(frame(i, scan(pose(i * step_m), np.concatenate([boxes, cars]), rng, n_beams=64)[0]))
+
+    def way_m(classes):
+        rows = list(register_frames(frames, OdometrySettings(classes=classes)))
+        assert [r.status for r in rows] == ["start"] + ["ok"] * 7
+        return rows[-1].T_segment_lidar[0, 3]
+
+    assert way_m((TALL_STRUCTURE,)) == pytest.approx(7 * step_m, abs=0.03)
+    assert way_m(()) < step_m
 
 
 def test_motion_within_the_revolution_is_undone():

@@ -47,6 +47,22 @@ def test_a_known_place_is_found(plane, window, shift, turn_deg):
     assert found[1][2] < 0.9 * share
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_leaving_out_poor_places_changes_nothing_about_the_good_ones(plane, seed):
+    points, plane_map = plane
+    rng = np.random.default_rng(seed)
+    seen = seen_from(points, rng.uniform(-5, 5, 2), rng.uniform(-0.5, 0.5))
+    whole = search_plane(plane_map, seen, np.zeros(2), 0.0, Window(), n_peaks=8)
+    best = whole[0][2]
+    for least in (0.5, 0.9):
+        part = search_plane(plane_map, seen, np.zeros(2), 0.0, Window(), n_peaks=8, least=least)
+        expected = [p for p in whole if p[2] >= least * best]
+        assert len(part) >= len(expected)
+        for a, b in zip(expected, part, strict=False):
+            assert np.array_equal(a[0], b[0])
+            assert a[1:] == b[1:]
+
+
 def test_a_long_bare_wall_has_no_lead():
     x = np.arange(-80, 80, 0.1)
     points = np.concatenate([np.c_[x, np.full(len(x), s * 6.0)] for s in (-1, 1)])

@@ -8,7 +8,7 @@ from streetscan import classes
 from streetscan.errors import BadInput
 from streetscan.simulation import shapes
 from streetscan.simulation.appearance import MATERIALS
-from streetscan.simulation.meshes import sample_surface, triangle_areas
+from streetscan.simulation.meshes import Surface, box, make_mesh, sample_surface, triangle_areas
 
 NAMES = [(kind, name) for kind, names in shapes.BASE_SHAPES.items() for name in names]
 
@@ -55,9 +55,15 @@ def hausdorff_m(a, b, size):
     return max(distances)
 
 
-def test_hausdorff_of_known_boxes():
-    mesh = make("switch_box")
-    assert hausdorff_m(mesh, mesh, [1.0, 1.0, 1.0]) < 1e-4
+def test_hausdorff_of_boxes_and_a_pyramid():
+    metal = Surface(classes.FURNITURE, "metal", (90, 90, 90))
+    cube, plank = box((0, 0, 0), (1, 1, 1), metal), box((0, 0, 0), (0.2, 3, 0.1), metal)
+    base = [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0.5, 0.5, 1]]
+    pyramid = make_mesh(base, [[0, 2, 1], [0, 3, 2], [0, 1, 4], [1, 2, 4], [2, 3, 4], [3, 0, 4]], metal)
+    # Scaled to one box, all boxes are one shape.
+    assert hausdorff_m(cube, plank, [1.0, 1.0, 1.0]) < 1e-4
+    # A cube's upper corner is sqrt(1/3) from the pyramid's edge; samples come near it, from below.
+    assert hausdorff_m(cube, pyramid, [1.0, 1.0, 1.0]) == pytest.approx(np.sqrt(1 / 3), rel=0.1)
 
 
 @pytest.mark.parametrize("kind", shapes.BASE_SHAPES)

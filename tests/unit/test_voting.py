@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from streetscan.classes import COLUMN, FURNITURE
 from streetscan.errors import BadInput
 from streetscan.geometry import apply, invert, transform
+from streetscan.landmarks import Landmarks
 from streetscan.localization.keypoints import ObjectSet, describe_objects
 from streetscan.localization.voting import Compatibility, Window, count_pairs, find_compatible, refine_peaks, vote
 
@@ -52,6 +53,25 @@ def test_the_transform_of_any_constellation_is_found(n, seed, turn_deg, shift, n
     assert np.allclose(peaks[0].shift_m, shift, atol=0.02)
     assert np.isclose(peaks[0].turn_rad, np.radians(turn_deg), atol=0.002)
     assert peaks[0].consensus > 0.95 * n
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    n=st.integers(4, 15),
+    seed=st.integers(0, 10_000),
+    origin=st.tuples(st.floats(-800_000, 800_000), st.floats(0, 10_000_000), st.floats(-400, 4000)),
+    n_keypoints=st.sampled_from([1, 4, 8, 16]),
+)
+def test_a_common_shift_of_utm_size_changes_nothing(n, seed, origin, n_keypoints):
+    landmarks, kinds = constellation(n, np.random.default_rng(seed))
+    T = transform((3.0, -5.0, 0.5), (0, 0, 0.3))
+    observed, start = landmarks.transformed(invert(T)), transform(origin)
+    far = Landmarks(kinds, landmarks, np.zeros(n)).moved(np.array(origin)).objects
+    (near_peak, *_), _ = search(observed, landmarks, kinds, n_keypoints)
+    (far_peak, *_), _ = search(observed, far.transformed(invert(start)), kinds, n_keypoints)
+    assert np.allclose(far_peak.shift_m, near_peak.shift_m, atol=1e-4)
+    assert np.isclose(far_peak.turn_rad, near_peak.turn_rad, atol=1e-5)
+    assert np.isclose(far_peak.consensus, near_peak.consensus, atol=1e-3)
 
 
 @pytest.mark.parametrize("n_keypoints", [1, 4, 8, 16])

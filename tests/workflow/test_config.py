@@ -133,3 +133,29 @@ def test_unknown_data_set_is_named(tmp_path):
     result = snakemake("--dry-run", "--configfile", str(path), directory=tmp_path, check=False)
     assert result.returncode != 0
     assert "nowhere.yaml" in result.stdout + result.stderr
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "found"),
+    [
+        ("speed_kmh", "speed_kph", "speed_kmh"),
+        ("place: main_road", "place: motorway", "'motorway' is not one of"),
+        ("reader: simulate", "reader: [", "is no YAML"),
+    ],
+)
+def test_a_mistake_in_a_drives_file_is_named_before_anything_runs(old, new, found, tmp_path):
+    text = (HOME / "config" / "drives" / "city_tiny_main_road.yaml").read_text()
+    (tmp_path / "mine.yaml").write_text(text.replace(old, new))
+    result = snakemake("-n", "--config", f"drives_folder={tmp_path}", 'drives=["mine"]', directory=tmp_path, check=False)
+    output = result.stdout + result.stderr
+    assert result.returncode != 0
+    assert found in output
+    assert "mine.yaml" in output
+    assert "Traceback" not in output
+
+
+def test_a_drive_at_place_mapping_needs_a_street_mapped_from_a_vehicle(tmp_path):
+    text = (HOME / "config" / "drives" / "city_mapping.yaml").read_text()
+    (tmp_path / "mine.yaml").write_text(text.replace("dataset: city", "dataset: city_tls"))
+    result = snakemake("-n", "--config", f"drives_folder={tmp_path}", 'drives=["mine"]', directory=tmp_path, check=False)
+    assert "city_tls/test is not mapped from a vehicle" in result.stdout + result.stderr

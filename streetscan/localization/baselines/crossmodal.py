@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from streetscan.geometry import invert, transform
-from streetscan.localization.ground import find_ground
+from streetscan.localization.ground import find_ground, has_finite
 from streetscan.localization.keypoints import ObjectSet
 from streetscan.localization.localizer import Location, Start, level_of, place_start
 from streetscan.localization.objects import find_objects
@@ -40,7 +40,7 @@ class CrossmodalLocalizer:
         clock = [time.perf_counter()]
         reference = self._reference
         xy = np.asarray(start.xy_m, np.float64)[:2] - reference.origin[:2]
-        if not np.isfinite(points).all(axis=1).any():
+        if not has_finite(points):
             return Location("no_points")
         if not reference.contains(xy, self._window.shift_m):
             return Location("off_map")
