@@ -23,10 +23,9 @@ def main(
             evaluate_views `views`, per pair in `viewed`; of evaluate_registration `registrations` and `trajectories`, per pair in
             `registered`; of merge_frames `streets`, per pair in `merged`; per drive `grids` of evaluate_frames and `frames` of show_frames;
             per name in `localized` `localizations`, `localization_pictures`; per drive `reconstructions`, `detections`, `calibrations`,
-            `recalibrations`, `recalibration_figures`; per keyframe `models`, `calibrated`, `verdicts`; `realism` (per name in `compared`),
-            `densities` (per key of `static_scans`).
+            `recalibrations`, `recalibration_figures`; per keyframe `models`, `calibrated`, `verdicts`; `realism`, `densities` (see below).
         outputs: `scores`, `report` (files), `tables`, `figures` (folders). evaluated ... localized: names, their parts as in the paths.
-        facts: of Table 1.2, by data set. realism: `simulated` data sets; names `compared`, `not_compared`; `static_scans`: mobile data set.
+        facts: of Table 1.2, by data set. realism: `simulated` data sets; `compared`, `not_compared`; `static_scans`: mobile data set.
     """
     files = zip(inputs["evaluations"], inputs["confusions"], map(tuple, evaluated), strict=True)
     evaluations = [scores.read_evaluation(*paths, *pair, config["seed"]) for *paths, pair in files]
