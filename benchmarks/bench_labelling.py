@@ -1,7 +1,6 @@
-"""How fast C²CNN labels and trains, against the same network cube by cube, and how time and memory grow with the map."""
+"""How fast C²CNN labels and trains, against the same network cube by cube, and how time and memory grow with map and cube."""
 
 import json
-import resource
 import subprocess
 import sys
 import time
@@ -13,7 +12,7 @@ import numpy as np
 import torch
 from torch.nn.functional import cross_entropy
 
-from streetscan.segmentation.c2cnn import C2CNN, Settings, extract_cubes, input_channels
+from streetscan.segmentation.c2cnn import C2CNN, Settings, extract_cubes, grid_channels
 from streetscan.segmentation.inference import label_voxels
 from streetscan.segmentation.sparse import open_workers, sparse_logits
 from streetscan.segmentation.training import Part, Samples
@@ -27,16 +26,23 @@ POINTS_PER_M = 38_000
 N_CUBES = 512
 PATCH_VOXELS = 15
 N_THREADS = 2
+# The scene of thesis 2.5.5 (N-047): 56 m x 111 m, 19 M points, 1.75 M voxels, 3 minutes on a GTX 1080.
+SCENE_M, SCENE_POINTS, SCENE_PAPER_S = (111.0, 56.0), 19_000_000, 180.0
+# Sides of cubes whose training memory is measured; the thesis needs 969 MB of device memory at 23, 10 GB at 70 (N-045).
+KS = (11, 23, 41, 69)
 
 
-def run_labelling_benchmark(data_root: str | Path = ROOT.parent / "shared" / "data", sizes: tuple[int, ...] = (1, 4, 16)) -> list[dict]:
-    """Speed of labelling and training on a made-up dense street and on Oakland, and labelling of maps of several sizes.
+def run_labelling_benchmark(
+    data_root: str | Path = ROOT.parent / "shared" / "data", sizes: tuple[int, ...] = (1, 4, 16, 64), ks: tuple[int, ...] = KS
+) -> list[dict]:
+    """Speed of labelling and training on a made-up dense street and on Oakland, labelling of maps of several sizes, training memory.
 
     The peer gets its cubes already cut out, so that only the network is compared.
 
     Args:
         data_root: folder of the recordings; Oakland is left out where it is missing.
         sizes: millions of points of the maps whose labelling is timed, each in a process of its own.
+        ks: sides of the cubes whose training memory is measured, each in a process of its own.
     Returns:
         rows benchmark, metric, value, unit, peer, n. Ratios are pairs measured in turn in one run.
     """
@@ -45,22 +51,42 @@ def run_labelling_benchmark(data_root: str | Path = ROOT.parent / "shared" / "da
     if oakland.is_file():
         rows += _bench_grid("oakland", _with_heights(voxelize([np.loadtxt(oakland, usecols=(0, 1, 2))], 0.1)))
     for millions in sizes:
-        command = [sys.executable, "-m", "benchmarks.bench_labelling", str(millions)]
-        result = json.loads(subprocess.run(command, check=True, capture_output=True, text=True, cwd=ROOT).stdout)
-        name, n = f"label_{millions}m_points", result["n_points"]
+        rows += _label_rows(f"label_{millions}m_points", _in_process("size", millions))
+    scene = _in_process("scene", 1)
+    rows += _label_rows("label_scene_of_2_5_5", scene)
+    rows.append(_row("label_scene_of_2_5_5", "time", SCENE_PAPER_S, "s", "thesis, GTX 1080", SCENE_POINTS))
+    rows.append(
+        _row("label_scene_of_2_5_5", "ratio", SCENE_PAPER_S / scene["time_s"], "times as fast", "thesis, GTX 1080", scene["n_points"])
+    )
+    for k in ks:
+        found = _in_process("train", k)
         rows += [
-            _row(name, "voxels", result["n_voxels"], "voxels", "", n),
-            _row(name, "time", result["time_s"], "s", "", n),
-            _row(name, "speed", n / result["time_s"], "points/s", "", n),
-            _row(name, "peak_memory", result["peak_mib"], "MiB", "", n),
+            _row(f"train_k{k}", "peak_memory", found["peak_mib"], "MiB", "", found["n_samples"]),
+            _row(f"train_k{k}", "speed", found["n_samples"] / found["time_s"], "samples/s", "", found["n_samples"]),
         ]
     return rows
+
+
+def _in_process(what: str, value: float) -> dict:
+    """What a measurement prints that runs in a process of its own, for its peak memory."""
+    command = [sys.executable, "-m", "benchmarks.bench_labelling", what, str(value)]
+    return json.loads(subprocess.run(command, check=True, capture_output=True, text=True, cwd=ROOT).stdout)
+
+
+def _label_rows(name: str, found: dict) -> list[dict]:
+    n = found["n_points"]
+    return [
+        _row(name, "voxels", found["n_voxels"], "voxels", "", n),
+        _row(name, "time", found["time_s"], "s", "", n),
+        _row(name, "speed", n / found["time_s"], "points/s", "", n),
+        _row(name, "peak_memory", found["peak_mib"], "MiB", "", n),
+    ]
 
 
 def _bench_grid(name: str, grid: VoxelGrid) -> list[dict]:
     settings = Settings()
     network, rng = C2CNN(settings, seed=1).eval(), np.random.default_rng(0)
-    channels = input_channels(grid.counts, grid.height_m, settings)
+    channels = grid_channels(grid, settings)
     picked = rng.choice(len(grid), N_CUBES, replace=False)
     cubes = torch.from_numpy(extract_cubes(grid, channels, grid.keys[picked], np.zeros(N_CUBES, int), settings.k))
     labels = torch.from_numpy(rng.integers(0, 9, N_CUBES))
@@ -94,7 +120,7 @@ def _bench_grid(name: str, grid: VoxelGrid) -> list[dict]:
 
 
 def _part(grid: VoxelGrid, rows: np.ndarray, labels: np.ndarray, settings: Settings) -> Part:
-    return Part(grid, Samples(grid.keys[rows], labels.astype(np.uint8), np.zeros(len(rows), np.uint8)), settings, PATCH_VOXELS)
+    return Part(grid, Samples(grid.keys[rows], labels.astype(np.uint8)), settings, PATCH_VOXELS)
 
 
 def _dense_part(grid: VoxelGrid, settings: Settings, rng: np.random.Generator, n_patches: int = 48, per_patch: int = 64) -> Part:
@@ -107,15 +133,14 @@ def _dense_part(grid: VoxelGrid, settings: Settings, rng: np.random.Generator, n
 
 def _step(network: C2CNN, part: Part, workers: Executor) -> None:
     """Loss and gradients of all samples of a part, in as many shares as a training step takes."""
-    rng = np.random.default_rng(0)
-    runs = part.runs(1024, len(part.samples), rng)
+    runs = part.runs(1024, len(part.samples), np.random.default_rng(0))
 
     def differentiate(share):
-        channels, coords, wanted, labels = part.batch(share, 1.0, rng)
+        channels, coords, wanted, labels = part.batch(share, np.zeros(len(share), np.int64))
         loss = cross_entropy(sparse_logits(network, channels, coords, wanted), torch.from_numpy(labels))
         return torch.autograd.grad(loss, list(network.parameters()))
 
-    list(workers.map(differentiate, [runs[k::8] for k in range(8)]))
+    list(workers.map(differentiate, [share for share in (runs[k::8] for k in range(8)) if share]))
 
 
 def _best(call: Callable, n_repeats: int = 3) -> float:
@@ -127,14 +152,15 @@ def _best(call: Callable, n_repeats: int = 3) -> float:
     return min(times[1:])
 
 
-def _street(n_points: int) -> Iterator[np.ndarray]:
-    """A street of ground, two facades, cars, trees and posts, in segments."""
+def _street(n_points: int, width_m: float = 20.0, points_per_m: float = POINTS_PER_M) -> Iterator[np.ndarray]:
+    """A street of ground, two facades, cars, trees and posts, in segments; so many points on a metre."""
     rng = np.random.default_rng(1)
-    per_m2 = POINTS_PER_M / 47
-    for i in range(max(1, round(n_points / (SEGMENT_M * POINTS_PER_M)))):
-        ground = rng.random((int(SEGMENT_M * 20 * per_m2), 3)) * [SEGMENT_M, 20, 0] + rng.normal(0, 0.01, (int(SEGMENT_M * 20 * per_m2), 3))
+    per_m2 = points_per_m / (width_m + 27)
+    for i in range(max(1, round(n_points / (SEGMENT_M * points_per_m)))):
+        n_ground = int(SEGMENT_M * width_m * per_m2)
+        ground = rng.random((n_ground, 3)) * [SEGMENT_M, width_m, 0] + rng.normal(0, 0.01, (n_ground, 3))
         facades = []
-        for y in (0.0, 20.0):
+        for y in (0.0, width_m):
             wall = rng.random((int(SEGMENT_M * 12 * per_m2), 3)) * [SEGMENT_M, 0, 12]
             wall[:, 1] = y + rng.normal(0, 0.02, len(wall)) + 0.15 * ((wall[:, 0] % 4 < 1.5) & (wall[:, 2] % 3 > 1))
             facades.append(wall)
@@ -160,6 +186,13 @@ def _street_grid(n_points: int) -> VoxelGrid:
     return _with_heights(voxelize(_street(n_points), 0.1))
 
 
+def _scene_grid() -> VoxelGrid:
+    """The made-up street as wide and as long as the thesis' scene, with as many points."""
+    length_m, width_m = SCENE_M
+    clouds = _street(SCENE_POINTS, width_m, SCENE_POINTS / length_m)
+    return _with_heights(voxelize((points[points[:, 0] < length_m] for points in clouds), 0.1))
+
+
 def _with_heights(grid: VoxelGrid) -> VoxelGrid:
     grid.height_m = (grid.mean_z_m - np.percentile(grid.mean_z_m, 5)).astype(np.float32)
     return grid
@@ -169,17 +202,42 @@ def _row(benchmark: str, metric: str, value: float, unit: str, peer: str, n: int
     return {"benchmark": benchmark, "metric": metric, "value": float(value), "unit": unit, "peer": peer, "n": int(n)}
 
 
-def _label_size(millions: float) -> dict:
-    """Label a street of so many million points; run in a process of its own for its peak memory."""
-    grid = _street_grid(int(millions * 1e6))
+def _label(grid: VoxelGrid) -> dict:
+    """Label a map; run in a process of its own for its peak memory."""
     network = C2CNN(Settings(), seed=1).eval()
     label_voxels(network, grid.select(np.arange(len(grid)) < 20_000), TILE_M)
     start = time.perf_counter()
     label_voxels(network, grid, TILE_M, n_threads=N_THREADS)
     time_s = time.perf_counter() - start
-    peak_mib = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-    return {"n_points": int(grid.counts.sum()), "n_voxels": len(grid), "time_s": time_s, "peak_mib": peak_mib}
+    return {"n_points": int(grid.counts.sum()), "n_voxels": len(grid), "time_s": time_s, "peak_mib": _memory_mib("VmHWM")}
+
+
+def _train(k: int, n_samples: int = 512) -> dict:
+    """A batch of scattered samples with cubes of side k; run in a process of its own for its peak memory."""
+    grid, rng, settings = _street_grid(4_000_000), np.random.default_rng(0), Settings(k=k)
+    rows = rng.choice(len(grid), n_samples, replace=False)
+    part, network = _part(grid, rows, rng.integers(0, 9, n_samples), settings), C2CNN(settings, seed=1)
+    # The peak so far is that of making the street; it starts again from here.
+    Path("/proc/self/clear_refs").write_text("5")
+    before_mib = _memory_mib("VmRSS")
+    with open_workers(N_THREADS) as workers:
+        _step(network, part, workers)
+        start = time.perf_counter()
+        _step(network, part, workers)
+        time_s = time.perf_counter() - start
+    return {"n_samples": n_samples, "time_s": time_s, "peak_mib": _memory_mib("VmHWM") - before_mib}
+
+
+def _memory_mib(name: str) -> float:
+    """A figure of this process, such as `VmHWM`, the most memory it ever held."""
+    (line,) = (line for line in Path("/proc/self/status").read_text().splitlines() if line.startswith(name))
+    return int(line.split()[1]) / 1024
 
 
 if __name__ == "__main__":
-    print(json.dumps(_label_size(float(sys.argv[1]))))
+    measure = {
+        "size": lambda m: _label(_street_grid(int(float(m) * 1e6))),
+        "scene": lambda _: _label(_scene_grid()),
+        "train": lambda k: _train(int(float(k))),
+    }
+    print(json.dumps(measure[sys.argv[1]](sys.argv[2])))

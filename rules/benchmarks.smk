@@ -24,6 +24,31 @@ rule evaluate_labels:
         "../scripts/evaluate_labels.py"
 
 
+rule evaluate_thinning:
+    """F of networks on a map of ever fewer points: another scanner, or the same one on a faster vehicle."""
+    input:
+        code=library("evaluate_thinning"),
+        voxels="results/voxelize_map/{dataset}/{split}/voxels.npz",
+        labels="results/label_voxels/{dataset}/{split}/labels.npy",
+        networks=lambda w: [file for model in config["evaluate_thinning"]["models"] for file in files_of_model(w.dataset, model)],
+    output:
+        scores="results/evaluate_thinning/{dataset}/{split}/scores.csv",
+        figure="results/evaluate_thinning/{dataset}/{split}/thinning.svg",
+    log:
+        "results/evaluate_thinning/{dataset}/{split}/scores.log",
+    conda:
+        "../envs/streetscan.yaml"
+    threads: config["n_threads"]
+    resources:
+        mem_mb=3000,
+    params:
+        **config["evaluate_thinning"],
+        seed=config["seed"],
+        n_threads=config["n_threads"],
+    script:
+        "../scripts/evaluate_thinning.py"
+
+
 rule evaluate_views:
     """Pictures of a labelled map from above and from eye level: predicted and, with truth, true and wrong labels."""
     input:
@@ -42,6 +67,7 @@ rule evaluate_views:
         mem_mb=3000,
     params:
         **config["evaluate_views"],
+        k=lambda w: structure_of(w).get("k", config["train_segmenter"]["network"]["k"]),
     script:
         "../scripts/evaluate_views.py"
 
@@ -301,6 +327,8 @@ rule tabulate_benchmarks:
         evaluations=for_pairs("results/evaluate_labels/{dataset}/{model}/scores.csv", EVALUATED),
         confusions=for_pairs("results/evaluate_labels/{dataset}/{model}/confusion.csv", EVALUATED),
         histories=[f"{training_of(d, m)}/history.csv" for d, m in TRAINED],
+        network_scores=for_pairs("results/calibrate_segmenter/{dataset}/{model}/scores.csv", NETWORKS),
+        network_reliabilities=for_pairs("results/calibrate_segmenter/{dataset}/{model}/reliability.csv", NETWORKS),
         views=for_pairs("results/evaluate_views/{dataset}/{split}/{model}/views", LABELLED),
         realism=list(realism_tables().values()),
         densities=expand("results/evaluate_density/{dataset}/density.csv", dataset=STATIC_SCANS),
@@ -337,11 +365,12 @@ rule tabulate_benchmarks:
     params:
         evaluated=EVALUATED,
         trained=TRAINED,
+        known=[network_facts(*pair) for pair in NETWORKS],
         viewed=LABELLED,
         registered=REGISTERED,
         merged=MERGED,
         localized=SCORED_LOCALIZATIONS,
-        facts={dataset: facts(dataset)["published"] for dataset, _ in LABELLED if "published" in facts(dataset)},
+        facts={map_name(d): facts(d)["published"] for d, _ in LABELLED if "published" in facts(d)},
         realism={
             "simulated": [d for d, _ in SIMULATED],
             "compared": list(realism_tables()),

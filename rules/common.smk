@@ -76,7 +76,7 @@ def check_config():
 
 check_config()
 
-SELECTIONS = ("labelled_maps", "drives", "registered_drives", "merged_drives", "calibrated_drives", "localized_drives")
+SELECTIONS = ("labelled_maps", "tuned_models", "drives", "registered_drives", "merged_drives", "calibrated_drives", "localized_drives")
 if not any(config[key] for key in (*SELECTIONS, "datasets_folder", "drives_folder")):
     config.update(config["first_run"])
 elif config["run"] == "default":
@@ -86,18 +86,28 @@ DATASETS = Path(config["datasets_folder"] or HOME / "config" / "datasets")
 DRIVES = Path(config["drives_folder"] or HOME / "config" / "drives")
 
 
+def map_name(name):
+    """The data set whose map a data set has: itself, or in `voxel_variants` the one that is seen in voxels of another size."""
+    return config["voxel_variants"].get(name, {}).get("dataset", name)
+
+
+def voxel_size(name):
+    """Voxel edge of a data set, m."""
+    return config["voxel_variants"].get(name, config["voxelize_map"])["size_m"]
+
+
 @functools.cache
 @as_workflow_error
 def dataset(name):
     """A data set's file, checked."""
-    return load_dataset(DATASETS / f"{name}.yaml", HOME / "config" / "dataset.schema.yaml")
+    return load_dataset(DATASETS / f"{map_name(name)}.yaml", HOME / "config" / "dataset.schema.yaml")
 
 
 @functools.cache
 def facts(name):
     """The content of a data set's file, checked."""
     dataset(name)
-    return yaml.safe_load((DATASETS / f"{name}.yaml").read_text())
+    return yaml.safe_load((DATASETS / f"{map_name(name)}.yaml").read_text())
 
 
 @functools.cache
@@ -157,12 +167,12 @@ def step_of_map(dataset):
 
 def map_of(wildcards):
     """The map of a part."""
-    return f"results/{step_of_map(wildcards.dataset)}/{wildcards.dataset}/{wildcards.split}/map.laz"
+    return f"results/{step_of_map(wildcards.dataset)}/{map_name(wildcards.dataset)}/{wildcards.split}/map.laz"
 
 
 def truth_of(wildcards):
     """The true labels of a part's points."""
-    return f"results/{step_of_map(wildcards.dataset)}/{wildcards.dataset}/{wildcards.split}/truth/labels.npy"
+    return f"results/{step_of_map(wildcards.dataset)}/{map_name(wildcards.dataset)}/{wildcards.split}/truth/labels.npy"
 
 
 @as_workflow_error
@@ -202,9 +212,9 @@ def label_tiles(name, split=None):
     return paths
 
 
-def network_files(source):
-    """Weights and settings of a network: those in weights/ (`shipped`), or what a training, `<data set>/<model>`, wrote."""
-    folder = HOME / "weights" / "c2cnn" if source == "shipped" else f"results/train_segmenter/{source}"
+def network_files(source, step="calibrate_segmenter"):
+    """Weights and settings of a network: those in weights/ (`shipped`), or what a step made of `<data set>/<model>`."""
+    folder = HOME / "weights" / "c2cnn" if source == "shipped" else f"results/{step}/{source}"
     return [f"{folder}/weights.safetensors", f"{folder}/settings.yaml"]
 
 
@@ -217,19 +227,33 @@ def training_of(dataset, model):
     return f"results/{'train_baseline' if model in BASELINES else 'train_segmenter'}/{dataset}/{model}"
 
 
-def network_of(wildcards):
+def is_calibrated(model):
+    """Whether a model's confidence is calibrated on the data set it labels: it was trained there, or asks for it by its `prior_power`."""
+    return config["models"][model]["weights"] == "own" or "prior_power" in config["models"][model]
+
+
+def files_of_model(dataset, model):
     """What a model labels a data set with: a network of the data set's own training, another one's, or shipped; or a baseline's trees."""
-    if wildcards.model in BASELINES:
-        folder = training_of(wildcards.dataset, wildcards.model)
-        return [f"{folder}/model.txt", f"{folder}/settings.yaml"]
+    if model in BASELINES:
+        return [f"{training_of(dataset, model)}/{name}" for name in ("model.txt", "settings.yaml")]
+    return network_files(f"{dataset}/{model}" if is_calibrated(model) else config["models"][model]["weights"])
+
+
+def network_of(wildcards):
+    """An input function: what the wildcards' model labels their data set with."""
+    return files_of_model(wildcards.dataset, wildcards.model)
+
+
+def trained_network(wildcards):
+    """The network, as trained, that is calibrated for a data set."""
     source = config["models"][wildcards.model]["weights"]
-    return network_files(f"{wildcards.dataset}/{wildcards.model}" if source == "own" else source)
+    return network_files(f"{wildcards.dataset}/{wildcards.model}" if source == "own" else source, "train_segmenter")
 
 
 def initial_network(wildcards):
     """The network a training starts from; none starts from random weights."""
     source = config["models"][wildcards.model]["initial"]
-    return network_files(source) if source else []
+    return network_files(source, "train_segmenter") if source else []
 
 
 def schedule_of(wildcards):
@@ -238,10 +262,11 @@ def schedule_of(wildcards):
 
 
 def structure_of(wildcards):
-    """`train_segmenter.network` with the model's channels, or what a baseline looks at."""
+    """`train_segmenter.network` with what the model changes in it and its channels, or what a baseline looks at."""
     if wildcards.model in BASELINES:
         return {"neighbours": config["train_baseline"]["neighbours"]}
-    return config["train_segmenter"]["network"] | {"channels": config["models"][wildcards.model]["channels"]}
+    model = config["models"][wildcards.model]
+    return config["train_segmenter"]["network"] | model.get("network", {}) | {"channels": model["channels"]}
 
 
 def classes_of(dataset):
@@ -263,9 +288,10 @@ def check_pair(name, model, needs_map=True, after=()):
     if model not in known:
         raise WorkflowError(f"labelled_maps: model '{model}' is not in the config; use one of {', '.join(known)}.")
     parts, truth, source = set(facts(name)["parts"]), facts(name)["truth"], known[model]["weights"]
+    is_own = source == "own" or "prior_power" in known[model]
     if needs_map and not parts & {"test", "all"}:
         raise WorkflowError(f"labelled_maps: data set '{name}' has no part 'test' or 'all' to label; add one to its file.")
-    if source == "own" and (truth != "labels" or not {"train", "validation"} <= parts):
+    if is_own and (truth != "labels" or not {"train", "validation"} <= parts):
         raise WorkflowError(
             f"labelled_maps: model '{model}' trains on data set '{name}', which lacks labels or a part 'train' or 'validation'; "
             "use c2cnn_shipped, or add them to its file."
@@ -306,13 +332,43 @@ def check_registrar(drive, registrar, where):
         raise WorkflowError(f"{where}: registrar '{registrar}' is not in the config; use one of {', '.join(config['registrars'])}.")
 
 
-LABELLED = pairs(config["labelled_maps"])
-for name, model in LABELLED:
-    check_pair(name, model)
+LABELLED, TUNED = pairs(config["labelled_maps"]), pairs(config["tuned_models"])
+for name in config["voxel_variants"]:
+    if (DATASETS / f"{name}.yaml").is_file():
+        raise WorkflowError(f"voxel_variants: '{name}' has a data set file of its own; give the variant another name.")
+for name, model in LABELLED + TUNED:
+    check_pair(name, model, needs_map=(name, model) in LABELLED)
     for part in facts(name)["parts"]:
         list_files(name, part)  # now rather than in the middle of the DAG
+for name, model in TUNED:
+    if model in BASELINES or not is_calibrated(model):
+        raise WorkflowError(f"tuned_models: '{name}/{model}' is no network trained on that data set; name one whose weights are own.")
 EVALUATED = [(d, m) for d, m in LABELLED if facts(d)["truth"] == "labels" and "test" in facts(d)["parts"]]
 TRAINED = [(d, m) for d, m in LABELLED if m in BASELINES or config["models"][m]["weights"] == "own"]
+NETWORKS = list(dict.fromkeys([(d, m) for d, m in LABELLED if m not in BASELINES and is_calibrated(m)] + TUNED))
+
+
+def network_facts(dataset, model):
+    """What the tables say of a network."""
+    of_model = config["models"][model]
+    network, changed = config["train_segmenter"]["network"], of_model.get("network", {})
+    is_plain = (
+        of_model["channels"] == ["count", "height"]
+        and of_model["weights"] == "own"
+        and not of_model["initial"]
+        and not of_model["schedule"]
+    )
+    return {
+        "dataset": dataset,
+        "method": model,
+        "seed": config["seed"],
+        "map": map_name(dataset),
+        "size_m": voxel_size(dataset),
+        "k": (network | changed)["k"],
+        "is_labelled": (dataset, model) in LABELLED,
+        "is_tuned": (dataset, model) in TUNED,
+        "is_point": is_plain and set(changed) <= {"k", "is_padded"} and not of_model.get("prior_power"),
+    }
 
 
 def for_pairs(path, selected):
@@ -349,7 +405,7 @@ def moves_on_a_van(name):
     return facts(name)["source"] == "simulate" and "same_streets_as" not in facts(name)
 
 
-SIMULATED = list(dict.fromkeys((d, labelled_part(d)) for d, _ in LABELLED if moves_on_a_van(d)))
+SIMULATED = list(dict.fromkeys((map_name(d), labelled_part(d)) for d, _ in LABELLED if moves_on_a_van(d)))
 COMPARED_MAPS, COMPARED_DRIVES, NOT_COMPARED = find_compared() if SIMULATED else ([], [], [])
 STATIC_SCANS = find_static_scans()
 

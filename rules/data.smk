@@ -66,7 +66,8 @@ rule voxelize_map:
     resources:
         mem_mb=3000,
     params:
-        **config["voxelize_map"],
+        size_m=lambda w: voxel_size(w.dataset),
+        ground=config["voxelize_map"]["ground"],
     script:
         "../scripts/voxelize_map.py"
 

@@ -81,6 +81,39 @@ rule train_segmenter:
         "../scripts/train_segmenter.py"
 
 
+rule calibrate_segmenter:
+    """A network whose confidence is right on the validation part, and how good it is there, before and after."""
+    input:
+        code=library("calibrate_segmenter"),
+        network=trained_network,
+        training=["results/turn_map/{dataset}/train/labels.npy", "results/extract_samples/{dataset}/train/samples.npz"],
+        validation=[
+            "results/label_voxels/{dataset}/validation/labels.npy",
+            "results/extract_samples/{dataset}/validation/samples.npz",
+            "results/voxelize_map/{dataset}/validation/voxels.npz",
+        ],
+    output:
+        weights="results/calibrate_segmenter/{dataset}/{model}/weights.safetensors",
+        settings="results/calibrate_segmenter/{dataset}/{model}/settings.yaml",
+        scores="results/calibrate_segmenter/{dataset}/{model}/scores.csv",
+        reliability="results/calibrate_segmenter/{dataset}/{model}/reliability.csv",
+    log:
+        "results/calibrate_segmenter/{dataset}/{model}/weights.log",
+    conda:
+        "../envs/streetscan.yaml"
+    threads: config["n_threads"]
+    resources:
+        mem_mb=3000,
+    params:
+        prior_power=lambda w: config["models"][w.model].get("prior_power", 0.0),
+        schedule=schedule_of,
+        groups=lambda w: facts(w.dataset).get("groups"),
+        n_turns=config["label_map"]["n_turns"],
+        n_threads=config["n_threads"],
+    script:
+        "../scripts/calibrate_segmenter.py"
+
+
 rule train_baseline:
     """Boosted trees on the eigenvalues of each voxel's surroundings: what a network has to beat."""
     input:

@@ -12,7 +12,7 @@ from streetscan.voxels import VoxelGrid
 
 def main(
     map_path: str, voxels_path: str, network_paths: Sequence[str], labelled_map_path: str, labelled_voxels_path: str,
-    tiles: str, tile_m: float, n_threads: int, expected: dict,
+    tiles: str, tile_m: float, n_turns: int, n_threads: int, expected: dict,
 ) -> None:  # fmt: skip
     """
     Args:
@@ -23,11 +23,12 @@ def main(
         labelled_voxels_path: `.npz` to write: rows into the grid, labels, confidence.
         tiles: the group, such as `0of9`.
         tile_m: edge of a tile.
+        n_turns: quarter turns in which every voxel is looked at.
         n_threads: threads; the result does not depend on it.
         expected: the settings they must have been made with (`c2cnn.Settings`, or `TreeSettings`; size_m is the grid's).
     """
     grid = VoxelGrid.load(voxels_path)
-    predictions = load_labeller(network_paths, expected, grid.size_m)(grid, tile_m, *parse_tiles(tiles), n_threads)
+    predictions = load_labeller(network_paths, expected, grid.size_m, n_turns)(grid, tile_m, *parse_tiles(tiles), n_threads)
     with open_las_writer(labelled_map_path, read_crs(map_path)) as writer:
         for cloud in label_points(iterate_las(map_path), grid, *predictions):
             writer.write(cloud)

@@ -62,6 +62,11 @@ class VoxelGrid:
         """(V, 3) float64 voxel centres, metres, frame `map`."""
         return self.origin + (self.keys + 0.5) * self.size_m
 
+    @property
+    def n_dense(self) -> int:
+        """Voxels of the box around the occupied ones, what a dense array would hold (the count of thesis Table 2.1)."""
+        return int(np.prod(np.ptp(self.keys, axis=0).astype(np.int64) + 1)) if len(self) else 0
+
     def keys_of(self, points: np.ndarray) -> np.ndarray:
         """(N, 3) int64 voxel keys of (N, 3) points in frame `map`."""
         return _keys_of(points, self.origin, self.size_m)

@@ -6,6 +6,7 @@ relies on hue alone (bars are labelled, lines have markers of their own).
 
 import functools
 import itertools
+import textwrap
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -19,6 +20,7 @@ from PIL import Image
 
 from streetscan.classes import CLASSES, UNLABELLED, UNLABELLED_COLOUR
 from streetscan.io.atomic import atomic_path
+from streetscan.segmentation.metrics import calibration_error
 
 OURS, PAPER, THIRD, FOURTH, ALARM = "#0072B2", "#E69F00", "#009E73", "#CC79A7", "#D55E00"
 INK, QUIET, FAINT = "#222222", "#666666", "#DDDDDD"
@@ -293,50 +295,31 @@ def parameter_curve(
     return figure
 
 
-def reliability_bins(confidence: np.ndarray, is_correct: np.ndarray, n_bins: int = 10) -> pd.DataFrame:
-    """Mean confidence and accuracy per bin of confidence.
-
-    Args:
-        confidence: (N,) 0..1.
-        is_correct: (N,) bool.
-        n_bins: bins of equal width over 0..1; 1 falls into the last.
-    Returns:
-        `confidence`, `accuracy` (NaN in empty bins) and `n` per bin.
-    """
-    bins = np.minimum((np.asarray(confidence, float) * n_bins).astype(np.int64), n_bins - 1)
-    n = np.bincount(bins, minlength=n_bins)
-    mean = np.bincount(bins, confidence, n_bins), np.bincount(bins, is_correct, n_bins)
-    share = [np.divide(m, n, out=np.full(n_bins, np.nan), where=n > 0) for m in mean]
-    return pd.DataFrame({"confidence": share[0], "accuracy": share[1], "n": n})
-
-
-def expected_calibration_error(bins: pd.DataFrame) -> float:
-    """Mean gap of confidence and accuracy over all samples, 0..1; NaN without samples."""
-    used = bins[bins["n"] > 0]
-    if used.empty:
-        return float("nan")
-    return float(((used["confidence"] - used["accuracy"]).abs() * used["n"]).sum() / used["n"].sum())
-
-
 @_styled
-def reliability_diagram(bins: pd.DataFrame) -> Figure:
+def reliability_diagram(bins: pd.DataFrame, before: pd.DataFrame | None = None) -> Figure:
     """How far a confidence can be trusted: accuracy against confidence, and how many samples have it.
 
     Args:
-        bins: as `reliability_bins` gives them.
+        bins: of `streetscan.segmentation.metrics.reliability_bins`.
+        before: bins of the same samples before their confidence was calibrated.
     """
     figure = _figure(3.4, 4.6)
     axes, below = figure.subplots(2, 1, sharex=True, height_ratios=[3, 1])
     edges = np.linspace(0, 1, len(bins) + 1)
     axes.plot([0, 100], [0, 100], ":", color=QUIET, linewidth=1, label="perfectly calibrated")
+    if before is not None:
+        used = before[before["n"] > 0]
+        axes.plot(100 * used["confidence"], 100 * used["accuracy"], "--", color=PAPER, marker="s", label="as trained")
     used = bins[bins["n"] > 0]
-    axes.plot(100 * used["confidence"], 100 * used["accuracy"], color=OURS, marker="o", label="measured")
+    axes.plot(
+        100 * used["confidence"], 100 * used["accuracy"], color=OURS, marker="o", label="measured" if before is None else "calibrated"
+    )
     axes.fill_between(100 * used["confidence"], 100 * used["confidence"], 100 * used["accuracy"], color=OURS, alpha=0.15, linewidth=0)
     axes.set_ylabel("accuracy [%]")
     axes.set_xlim(0, 100)
     axes.set_ylim(0, 102)
-    error = expected_calibration_error(bins)
-    axes.set_title("no labelled voxel" if np.isnan(error) else f"mean gap {100 * error:.1f} %")
+    gaps = [f"{100 * calibration_error(b):.1f}" for b in (before, bins) if b is not None and b["n"].sum() > 0]
+    axes.set_title(f"mean gap {' → '.join(gaps)} %" if gaps else "no labelled voxel")
     axes.legend(loc="upper left")
     shares = 100 * bins["n"] / max(1, bins["n"].sum())
     below.bar(100 * (edges[:-1] + edges[1:]) / 2, shares, 100 / len(bins) * 0.92, color=QUIET)
@@ -437,6 +420,30 @@ def map_view(
         _draw_scale_bar(axes, width, height, pixel_m)
     if north_rad is not None:
         _draw_north(axes, width, height, north_rad)
+    return figure
+
+
+@_styled
+def close_ups(rows: Sequence[tuple[str, Sequence[np.ndarray]]], headings: Sequence[str]) -> Figure:
+    """Rows of small pictures, each with its caption, two rows beside each other.
+
+    Args:
+        rows: caption and pictures, (H, W, 3) uint8 of one size, of each.
+        headings: of the pictures of a row.
+    """
+    n_lines, n = -(-len(rows) // 2), len(headings)
+    height, width = rows[0][1][0].shape[:2] if rows else (1, 1)
+    wide = WIDTH_IN * 1.4
+    figure = _figure(max(1, n_lines) * (wide / (2 * n) * height / width + 0.45), wide)
+    grid = figure.subplots(max(1, n_lines), 2 * n, squeeze=False)
+    for axes in grid.flat:
+        axes.set_axis_off()
+    for i, (caption, pictures) in enumerate(rows):
+        of_row = grid[i // 2, (i % 2) * n : (i % 2 + 1) * n]
+        for axes, picture, heading in zip(of_row, pictures, headings, strict=True):
+            axes.imshow(picture, interpolation="antialiased")
+            axes.text(0.5, -0.01, heading, transform=axes.transAxes, ha="center", va="top", fontsize=6.5, color=QUIET)
+        of_row[0].set_title(textwrap.fill(caption, 68), fontsize=7.5, weight="normal", loc="left")
     return figure
 
 

@@ -384,6 +384,8 @@ def _part(folder: Path, dataset: str, method: str, evaluation: Evaluation | None
         captions = {
             "class_shares.svg": (f"How often each class occurs in {dataset}, as {title(method)} labels it.", False),
             "reliability.svg": (f"Whether the confidence of {who} can be trusted: share of right labels per confidence.", True),
+            "volumes.png": (f"Training volumes of {dataset} (thesis Figs. 2.5 and 2.6).", False),
+            "failures.png": (f"The worst failures of {who}: the largest region of each confusion (thesis Fig. 2.12).", False),
         }
         pictures += [embed(Path(views) / name, *c) for name, c in captions.items() if (Path(views) / name).is_file()]
     return Part(anchor, title(method), " ".join(text), galleries, pictures)

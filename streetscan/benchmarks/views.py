@@ -7,12 +7,16 @@ from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
+import pandas as pd
 from matplotlib.figure import Figure
 
 from streetscan.benchmarks import figures
+from streetscan.benchmarks.failures import describe_failures, draw_failures, find_failures
 from streetscan.benchmarks.rendering import View, grey_levels, render_cloud, render_top
+from streetscan.benchmarks.volumes import draw_volumes
 from streetscan.classes import GROUND, N_CLASSES, UNLABELLED, colours
 from streetscan.clouds import PointCloud
+from streetscan.segmentation.metrics import reliability_bins
 from streetscan.voxels import VoxelGrid
 
 EYE_HEIGHT_M = 2.2
@@ -156,8 +160,32 @@ def draw_statistics(predicted: np.ndarray, confidence: np.ndarray, true: np.ndar
         return {"class_shares": figures.class_shares({"predicted": np.bincount(predicted, minlength=N_CLASSES)})}
     known = true != UNLABELLED
     shares = {name: np.bincount(labels[known], minlength=N_CLASSES) for name, labels in (("true", true), ("predicted", predicted))}
-    bins = figures.reliability_bins(confidence[known], predicted[known] == true[known])
+    bins = reliability_bins(predicted[known] == true[known], confidence[known])
     return {"class_shares": figures.class_shares(shares), "reliability": figures.reliability_diagram(bins)}
+
+
+def draw_closely(
+    grid: VoxelGrid, predicted: np.ndarray, true: np.ndarray | None, k: int, n_failures: int
+) -> tuple[dict[str, Figure], pd.DataFrame | None]:
+    """Training volumes and the worst failures of a labelled map, close up.
+
+    Args:
+        grid: the map's voxels with heights.
+        predicted: (V,) uint8 labels.
+        true: (V,) uint8, 255 where unknown, or None when nothing is known.
+        k: voxels an axis of a training volume.
+        n_failures: how many at most.
+    Returns:
+        `volumes` by true labels, by predicted ones where none are known, and, where there are any, `failures`; the failures as
+        `describe_failures` says them, None without truth.
+    """
+    if not _has_truth(true):
+        return {"volumes": draw_volumes(grid, predicted, k)}, None
+    failures = find_failures(grid, predicted, true, n_failures)
+    drawn = {"volumes": draw_volumes(grid, true, k)}
+    if failures:
+        drawn["failures"] = draw_failures(grid, predicted, true, failures)
+    return drawn, describe_failures(grid, failures)
 
 
 def _has_truth(true: np.ndarray | None) -> bool:

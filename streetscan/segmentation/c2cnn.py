@@ -18,10 +18,13 @@ from torch import nn
 from streetscan.classes import N_CLASSES, NAMES
 from streetscan.errors import BadInput
 from streetscan.io.weights import check_equal_settings, load_settings, load_weights, save_settings, save_weights
+from streetscan.segmentation.density import mean_counts_around
 from streetscan.voxels import VoxelGrid, find_sorted, pack_keys
 
 CHANNELS = ("count", "height", "occupancy")
-COUNT_SCALES = ("log", "raw")
+COUNT_SCALES = ("log", "raw", "local")
+# Points a voxel is said to hold where it holds as many as the voxels around it, in the scale `local`.
+_TYPICAL_COUNT = 10.0
 # Three 3x3x3 convolutions without a pooling between them look at 7 voxels.
 SMALLEST_K = 7
 
@@ -41,9 +44,12 @@ class Settings:
     Attributes:
         size_m: voxel edge λ the weights were made for.
         k: voxels an axis of the cube, odd.
+        is_padded: whether convolutions see zeros beyond their input, so that they keep its size. Cubes then share nothing, and each is
+            evaluated by itself.
         channels: input channels, of `count` (points), `height` (above ground) and `occupancy` (1). OG-CNN is
             occupancy alone.
-        count_scale: `log` enters ln(1 + count), `raw` the count itself (the thesis' wording).
+        count_scale: `log` enters ln(1 + count), `raw` the count itself (the thesis' wording), `local` ln(1 + 10 count / mean count of the
+            voxels in the square of columns below and above the cube), which no scanner and no speed changes.
         height_scale_m: the height enters divided by this, cut to [-1, 3].
         filters: filters of the three convolutions.
         n_hidden: units of the hidden dense layer.
@@ -53,6 +59,7 @@ class Settings:
 
     size_m: float = 0.1
     k: int = 23
+    is_padded: bool = False
     channels: tuple[str, ...] = ("count", "height")
     # ASSUME: the thesis does not scale its inputs. Counts span three decades, with which SGD does not converge reliably,
     # and heights in metres dwarf every other input: logarithm and a division by 10 m.
@@ -102,13 +109,14 @@ class Settings:
         ASSUME: the text gives no padding. Without padding a cube's output depends on nothing but the voxels around its
         centre, so neighbouring cubes share all their work. Each of the first two convolutions is followed by a
         max-pooling of 2 with stride 2 (LeNet-5's order); below K = 18 two poolings leave nothing for the third
-        convolution, and as many as fit are kept, the earlier one first.
+        convolution, and as many as fit are kept, the earlier one first. The thesis' Table 2.2 goes down to K = 7 with
+        both, which padded convolutions allow.
         """
         for pooled in ((True, True), (True, False), (False, True), (False, False)):
             layers, width, step = [], self.k, 1
             for has_pooling in (*pooled, False):
                 layers.append(Layer("conv", 3, step))
-                width -= 2
+                width -= 0 if self.is_padded else 2
                 if has_pooling:
                     layers.append(Layer("pool", 2, step))
                     width, step = width // 2, 2 * step
@@ -144,7 +152,7 @@ class C2CNN(nn.Module):
         self.settings = settings
         widths = (len(settings.channels), *settings.filters)
         n_features = settings.layers[-1].width ** 3 * settings.filters[-1]
-        self.convolutions = nn.ModuleList(nn.Conv3d(a, b, 3) for a, b in itertools.pairwise(widths))
+        self.convolutions = nn.ModuleList(nn.Conv3d(a, b, 3, padding=int(settings.is_padded)) for a, b in itertools.pairwise(widths))
         self.hidden = nn.Linear(n_features, settings.n_hidden)
         self.output = nn.Linear(settings.n_hidden, len(settings.classes))
         generator = torch.Generator().manual_seed(seed)
@@ -179,13 +187,21 @@ def drop(x: torch.Tensor, share: float, generator: torch.Generator | None) -> to
     return x * kept / (1 - share)
 
 
-def input_channels(counts: np.ndarray, height_m: np.ndarray, settings: Settings) -> np.ndarray:
+def grid_channels(grid: VoxelGrid, settings: Settings) -> np.ndarray:
+    """The network's input (V, C) float32 at all voxels of a map; see `input_channels`."""
+    is_local = settings.count_scale == "local"
+    around = mean_counts_around(grid.keys, grid.counts, settings.radius) if is_local else None
+    return input_channels(grid.counts, grid.height_m, settings, around)
+
+
+def input_channels(counts: np.ndarray, height_m: np.ndarray, settings: Settings, around: np.ndarray | None = None) -> np.ndarray:
     """The network's input at occupied voxels; an empty voxel is 0 in every channel.
 
     Args:
         counts: (V,) points in each voxel.
         height_m: (V,) float32 mean height above the local ground.
         settings: channels and their scaling.
+        around: (V,) mean number of points of the voxels around each; only counts of scale `local` need it.
     Returns:
         (V, C) float32.
     Raises:
@@ -194,8 +210,7 @@ def input_channels(counts: np.ndarray, height_m: np.ndarray, settings: Settings)
     columns = []
     for channel in settings.channels:
         if channel == "count":
-            counts = counts.astype(np.float32)
-            columns.append(np.log1p(counts) if settings.count_scale == "log" else counts)
+            columns.append(_scale_counts(counts.astype(np.float32), settings.count_scale, around))
         elif channel == "height":
             if not np.isfinite(height_m).all():
                 n_unknown = int((~np.isfinite(height_m)).sum())
@@ -204,6 +219,12 @@ def input_channels(counts: np.ndarray, height_m: np.ndarray, settings: Settings)
         else:
             columns.append(np.ones(len(counts)))
     return np.stack(columns, axis=1).astype(np.float32)
+
+
+def _scale_counts(counts: np.ndarray, scale: str, around: np.ndarray | None) -> np.ndarray:
+    if scale == "raw":
+        return counts
+    return np.log1p(_TYPICAL_COUNT * counts / around if scale == "local" else counts)
 
 
 def turn_keys(keys: np.ndarray, turns: np.ndarray | int) -> np.ndarray:

@@ -13,13 +13,14 @@ from streetscan.segmentation.inference import label_voxels
 Labels = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 
-def load_labeller(paths: Sequence[str | Path], expected: Mapping, size_m: float) -> Callable[..., Labels]:
+def load_labeller(paths: Sequence[str | Path], expected: Mapping, size_m: float, n_turns: int = 1) -> Callable[..., Labels]:
     """The function that labels the voxels of a group of tiles: `grid, tile_m, group, n_groups, n_threads` as in `label_voxels`.
 
     Args:
         paths: weights.safetensors or model.txt, and settings.yaml.
         expected: the settings they must have been made with, of `c2cnn.Settings` or `boosted_trees.TreeSettings`.
         size_m: voxel edge of the map to label.
+        n_turns: quarter turns in which a network looks at a voxel; trees see no direction.
     Raises:
         BadInput: a file is damaged, or was made with other settings.
     """
@@ -29,4 +30,4 @@ def load_labeller(paths: Sequence[str | Path], expected: Mapping, size_m: float)
         return trees.label_voxels
     network = load_network(*paths)
     check_same_settings(network.settings, Settings(size_m=size_m, **expected), paths[0])
-    return partial(label_voxels, network)
+    return partial(label_voxels, network, n_turns=n_turns)

@@ -107,22 +107,40 @@ def rate_cleaning(truth: np.ndarray, predicted: np.ndarray, removed_labels: Sequ
     return float(kept), float(removed), float(np.sqrt(kept * removed))
 
 
-def calibration_error(is_right: np.ndarray, confidence: np.ndarray, n_bins: int = N_CALIBRATION_BINS) -> float:
-    """Expected calibration error: mean distance between confidence and share of right answers, bin by bin, as a fraction.
+def reliability_bins(
+    is_right: np.ndarray, confidence: np.ndarray, weights: np.ndarray | None = None, n_bins: int = N_CALIBRATION_BINS
+) -> pd.DataFrame:
+    """Mean confidence and share of right answers per bin of confidence.
 
     Args:
         is_right: (V,) bool.
         confidence: (V,) in 0..1.
+        weights: (V,) of the answers; one each where not given.
         n_bins: bins of equal width; the upper edge belongs to a bin.
     Returns:
-        the mean over voxels; NaN without any.
+        `confidence`, `accuracy` (NaN in empty bins) and `n`, the sum of weights, per bin.
+    """
+    weights = np.ones(len(confidence)) if weights is None else np.asarray(weights, np.float64)
+    bins = np.clip(np.ceil(np.asarray(confidence, np.float64) * n_bins).astype(np.int64) - 1, 0, n_bins - 1)
+    n = np.bincount(bins, weights, minlength=n_bins)
+    sums = np.bincount(bins, weights * confidence, n_bins), np.bincount(bins, weights * is_right, n_bins)
+    means = [np.divide(s, n, out=np.full(n_bins, np.nan), where=n > 0) for s in sums]
+    return pd.DataFrame({"confidence": means[0], "accuracy": means[1], "n": n})
+
+
+def calibration_error(bins: pd.DataFrame) -> float:
+    """Expected calibration error: mean distance between confidence and share of right answers, bin by bin, as a fraction.
+
+    Args:
+        bins: of `reliability_bins`.
+    Returns:
+        the mean over all answers; NaN without any.
     Source: Guo et al. (2017), Eq. 3.
     """
-    if len(confidence) == 0:
+    used = bins[bins["n"] > 0]
+    if used.empty:
         return np.nan
-    bins = np.clip(np.ceil(np.asarray(confidence, np.float64) * n_bins).astype(np.int64) - 1, 0, n_bins - 1)
-    gap = np.bincount(bins, is_right, minlength=n_bins) - np.bincount(bins, confidence, minlength=n_bins)
-    return float(np.abs(gap).sum() / len(confidence))
+    return float(((used["confidence"] - used["accuracy"]).abs() * used["n"]).sum() / used["n"].sum())
 
 
 def merge_classes(confusion: np.ndarray, groups: Mapping[str, Sequence[str]]) -> np.ndarray:
@@ -132,7 +150,7 @@ def merge_classes(confusion: np.ndarray, groups: Mapping[str, Sequence[str]]) ->
         confusion: (C, C), truth in its rows.
         groups: group name to the names of its classes.
     Returns:
-        (G + 1, G + 1) int64 in the order of the groups.
+        (G + 1, G + 1) of the same dtype in the order of the groups.
     Raises:
         BadInput: a name that is no class, or a class in two groups.
     """
@@ -144,7 +162,7 @@ def merge_classes(confusion: np.ndarray, groups: Mapping[str, Sequence[str]]) ->
             if group_of[LABELS[name]] != len(groups):
                 raise BadInput(f"group {group}", f"holds {name}, which is in another group already", "give each class one group")
             group_of[LABELS[name]] = i
-    merged = np.zeros((len(groups) + 1, len(groups) + 1), np.int64)
+    merged = np.zeros((len(groups) + 1, len(groups) + 1), confusion.dtype)
     np.add.at(merged, (group_of[:, None], group_of[None, :]), confusion)
     return merged
 
@@ -196,8 +214,8 @@ def evaluate_labels(
     for protocol, rows in test_sets.items():
         t, p, c = truth[rows], predicted[rows], confidence[rows]
         confusion = count_confusion(t, p)
-        scores += [(protocol, *row) for row in _score_rows(confusion, shares, groups or {})]
-        scores += [(protocol, "overall", "calibration_error", 100 * calibration_error(t == p, c), "%", len(rows))]
+        scores += [(protocol, *row) for row in score_confusion(confusion, shares, groups or {})]
+        scores += [(protocol, "overall", "calibration_error", 100 * calibration_error(reliability_bins(t == p, c)), "%", len(rows))]
         for name, labels in (("phantom", (PHANTOM,)), ("movable", MOVABLE_LABELS)):
             rates = zip(("static_kept", "dynamic_removed", "geometric_mean"), rate_cleaning(t, p, labels), strict=True)
             scores += [(protocol, f"cleaning:{name}", metric, 100 * value, "%", len(rows)) for metric, value in rates]
@@ -209,18 +227,20 @@ def evaluate_labels(
     return pd.DataFrame(scores, columns=COLUMNS), pd.DataFrame(confusions, columns=("protocol", "truth", "predicted", "n"))
 
 
-def _score_rows(confusion: np.ndarray, shares: np.ndarray, groups: Mapping[str, Sequence[str]]) -> list[tuple]:
-    """Rows (class, metric, value, unit, n) of one protocol's confusion matrix."""
-    rates, total = rate_classes(confusion), int(confusion.sum())
+def score_confusion(confusion: np.ndarray, shares: np.ndarray, groups: Mapping[str, Sequence[str]]) -> list[tuple]:
+    """Rows (class, metric, value, unit, n) of a confusion matrix, (C, C) counts or weights; `shares` weigh the overall figures."""
+    rates, total = rate_classes(confusion), float(confusion.sum())
     rows = [row for label, name in enumerate(NAMES) for row in _rate_rows(rates, label, name)]
     for name, labels in (("overall", tuple(range(N_CLASSES))), ("objects", TABLE_LABELS)):
-        n = int(rates.n[list(labels)].sum())
+        n = round(float(rates.n[list(labels)].sum()))
         for suffix, weights in (("", None), ("_weighted", shares)):
             rows += [(name + suffix, metric, 100 * value, "%", n) for metric, value in average_rates(rates, labels, weights).items()]
-    rows.append(("overall", "accuracy", 100 * float(np.trace(confusion)) / total, "%", total))
+    rows.append(("overall", "accuracy", 100 * float(np.trace(confusion)) / total, "%", round(total)))
     group_rates = rate_classes(merge_classes(confusion, groups))
     return rows + [row for i, group in enumerate(groups) for row in _rate_rows(group_rates, i, f"group:{group}")]
 
 
 def _rate_rows(rates: Rates, i: int, name: str) -> list[tuple]:
-    return [(name, metric, 100 * getattr(rates, metric)[i], "%", int(rates.n[i])) for metric in ("precision", "recall", "f", "iou")]
+    return [
+        (name, metric, 100 * getattr(rates, metric)[i], "%", round(float(rates.n[i]))) for metric in ("precision", "recall", "f", "iou")
+    ]

@@ -30,6 +30,8 @@ from streetscan.segmentation.c2cnn import C2CNN, Layer
 _VECTOR = 16
 # Sites whose taps are gathered at once for a weight gradient: fits the cache.
 _GATHERED = 2048
+# Cubes of a padded network evaluated at once.
+_CUBES = 256
 
 
 # The kernels run on one thread and let others run meanwhile.
@@ -121,11 +123,14 @@ def sparse_logits(
         wanted: (q, 3) integer centres of the cubes.
         generator: of the dropout; None drops nothing.
     Returns:
-        (q, 9) float32 logits, with a gradient when torch records one. Memory grows with q and the room around it.
+        (q, 9) float32 logits, with a gradient when torch records one. Memory grows with q and the room around it. Padded networks are
+        evaluated cube by cube.
     """
     settings = network.settings
     if len(wanted) == 0:
         return torch.zeros((0, len(settings.classes)))
+    if settings.is_padded:
+        return _cube_logits(network, channels, coords, wanted, generator)
     sites = find_sites(settings.layers, settings.radius, coords, wanted, torch.is_grad_enabled())
     x = torch.from_numpy(np.ascontiguousarray(channels[sites.rows], np.float32))
     constant = torch.zeros(x.shape[1])
@@ -151,6 +156,27 @@ def sparse_logits(
     cells = inputs.shape[1]
     hidden_weight = network.hidden.weight.view(settings.n_hidden, -1, cells).transpose(1, 2).flatten(1)
     return network.classify(embedding(rows, features).flatten(1), hidden_weight, generator)
+
+
+def _cube_logits(
+    network: C2CNN, channels: np.ndarray, coords: np.ndarray, wanted: np.ndarray, generator: torch.Generator | None
+) -> torch.Tensor:
+    """What `sparse_logits` gives, from cubes cut out one by one: the zeros a padded convolution sees lie elsewhere for every cube."""
+    k, radius = network.settings.k, network.settings.radius
+    low = wanted.min(axis=0) - radius
+    shape = tuple(int(s) for s in wanted.max(axis=0) + radius + 1 - low)
+    inside = np.flatnonzero(((coords >= low) & (coords < low + shape)).all(axis=1))
+    near = (coords[inside] - low).astype(np.int32)
+    present = _bitmap(near, shape)
+    rank, n_present = _rank(present)
+    # The last row is an empty voxel.
+    rows = np.zeros((n_present + 1, channels.shape[1]), np.float32)
+    rows[_lookup(present, rank, near, 1, 1)[:, 0]] = channels[inside]
+    logits = []
+    for part in np.array_split((wanted - low - radius).astype(np.int32), -(-len(wanted) // _CUBES)):
+        cubes = rows[_lookup(present, rank, part, k, 1)].reshape(len(part), k, k, k, -1)
+        logits.append(network(torch.from_numpy(np.ascontiguousarray(np.moveaxis(cubes, -1, 1))), generator))
+    return torch.cat(logits)
 
 
 class _SparseConv(torch.autograd.Function):

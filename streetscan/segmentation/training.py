@@ -26,7 +26,8 @@ from streetscan.classes import N_CLASSES
 from streetscan.errors import BadInput
 from streetscan.io.arrays import load_npz
 from streetscan.io.atomic import atomic_path
-from streetscan.segmentation.c2cnn import C2CNN, Settings, check_same_settings, input_channels, turn_keys
+from streetscan.segmentation.c2cnn import C2CNN, Settings, check_same_settings, grid_channels, input_channels, turn_keys
+from streetscan.segmentation.density import mean_counts_around
 from streetscan.segmentation.sparse import open_workers, sparse_logits
 from streetscan.voxels import VoxelGrid, find_sorted, pack_keys
 
@@ -36,6 +37,8 @@ logger = logging.getLogger(__name__)
 _LARGEST_WEIGHT = 10.0
 # Parts of a batch that are computed apart, fixed so that sums do not depend on the number of threads.
 _N_SHARES = 8
+# Densities a training patch may have.
+_N_SHARES_KEPT = 8
 # Samples scored together.
 _SCORED = 1024
 
@@ -62,7 +65,7 @@ class Schedule:
             spot of the street.
         class_power: the loss weighs classes by (their share of the labelled voxels) ** class_power: 0 all alike
             (the thesis' even classes), 1 as they occur.
-        thinning: lowest share of points kept when each patch is thinned at random; 1 leaves the points as they are (the thesis).
+        thinning: lowest share of points kept when each patch is thinned at random, see `Part.thin`; 1 leaves all (the thesis).
         seed: of initial weights, batches and dropout.
     """
 
@@ -150,7 +153,7 @@ class Part:
         if (grid.find(samples.keys) < 0).any():
             raise BadInput(where, "names voxels the grid does not have", "run extract_samples again on this grid")
         self.grid, self.samples, self.settings, self.patch_voxels = grid, samples, settings, patch_voxels
-        self.channels = input_channels(grid.counts, grid.height_m, settings)
+        self.channels, self._shares, self._around = grid_channels(grid, settings), np.ones(1), None
         # Voxels sorted by patch: the neighbourhood of a patch is a few slices.
         packed = pack_keys(np.floor_divide(grid.keys, patch_voxels))
         self._order = np.argsort(packed, kind="stable")
@@ -179,16 +182,25 @@ class Part:
         runs = [runs[i] for i in rng.permutation(len(runs))]
         return runs[: int(np.searchsorted(np.cumsum([len(run) for run in runs]), n_samples)) + 1]
 
+    def thin(self, lowest_share: float) -> None:
+        """Thin the points of each patch at random in the batches to come; 1 leaves them all.
+
+        ASSUME: of the shares of points that are kept, from `lowest_share` to all, each factor is as likely as another.
+        """
+        self._shares, self._around = np.geomspace(lowest_share, 1, _N_SHARES_KEPT), None
+        if lowest_share < 1 and self.settings.count_scale == "local":
+            around = (mean_counts_around(self.grid.keys, self.grid.counts, self.settings.radius, share) for share in self._shares)
+            self._around = np.stack(list(around))
+
     def batch(
-        self, runs: list[np.ndarray], turns: np.ndarray, thinning: float, rng: np.random.Generator
+        self, runs: list[np.ndarray], turns: np.ndarray, rng: np.random.Generator | None = None
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """The patches of several runs side by side.
 
         Args:
             runs: rows of samples, each run of one patch.
             turns: (len(runs),) int64 quarter turns of each patch, counter-clockwise about the vertical.
-            thinning: lowest share of points kept, 1 for all.
-            rng: of the thinning.
+            rng: of the thinning, see `thin`; None leaves all points.
         Returns:
             input channels (n, C) float32 and coordinates (n, 3) of the occupied voxels, coordinates (q, 3) and labels
             (q,) int64 of the samples.
@@ -208,13 +220,14 @@ class Part:
         sample_slots = np.repeat(np.arange(len(runs)), [len(run) for run in runs])
         wanted = turn_keys(self.samples.keys[picked] - middles[sample_slots], turns[sample_slots]) + places[sample_slots]
         channels = self.channels[rows]
-        if thinning < 1:
-            kept = rng.uniform(thinning, 1, len(runs))
-            counts = rng.binomial(self.grid.counts[rows], kept[slots])
+        if rng is not None and self._shares[0] < 1:
+            drawn = rng.integers(len(self._shares), size=len(runs))[slots]
+            counts = rng.binomial(self.grid.counts[rows], self._shares[drawn])
             # A sample's own voxel is never lost: it is what we ask about.
             is_wanted = find_sorted(np.unique(pack_keys(wanted)), pack_keys(coords)) >= 0
             counts = np.maximum(counts, is_wanted)
-            channels = input_channels(counts, self.grid.height_m[rows], self.settings)[counts > 0]
+            around = None if self._around is None else self._around[drawn, rows]
+            channels = input_channels(counts, self.grid.height_m[rows], self.settings, around)[counts > 0]
             coords = coords[counts > 0]
         return channels, coords, wanted, self.samples.labels[picked].astype(np.int64)
 
@@ -310,6 +323,7 @@ def train(
     scheduler = torch.optim.lr_scheduler.ReduceLROnPlateau(
         optimizer, "max", schedule.lr_factor, schedule.lr_patience, threshold=1e-3, threshold_mode="abs"
     )
+    training.thin(schedule.thinning)
     rng = np.random.default_rng(schedule.seed)
     averaged = copy.deepcopy(network)
     history, best = [], copy.deepcopy(network.state_dict())
@@ -357,18 +371,25 @@ def train(
     return network.eval(), history
 
 
+def sample_logits(network: C2CNN, part: Part, workers: Executor, turn: int = 0) -> tuple[torch.Tensor, torch.Tensor]:
+    """Logits (S, 9) float32 and labels (S,) int64 of all samples of a part, turned by quarter turns, in an order of their own."""
+    rng = np.random.default_rng(0)
+
+    def evaluate(runs):
+        channels, coords, wanted, labels = part.batch(runs, np.full(len(runs), turn))
+        with torch.inference_mode():
+            return sparse_logits(network, channels, coords, wanted), torch.from_numpy(labels)
+
+    results = list(workers.map(evaluate, list(_batches(part.runs(_SCORED, len(part.samples), rng), _SCORED))))
+    logits, labels = (torch.cat(column) for column in zip(*results, strict=True))
+    return logits, labels
+
+
 def score(network: C2CNN, part: Part, weights: torch.Tensor, workers: Executor) -> tuple[float, float]:
     """Mean loss and mean recall over the classes of a part's samples."""
-    tally, rng = _Tally(), np.random.default_rng(0)
-
-    def judge(runs):
-        channels, coords, wanted, labels = part.batch(runs, np.zeros(len(runs), np.int64), 1.0, rng)
-        with torch.inference_mode():
-            logits, labels = sparse_logits(network, channels, coords, wanted), torch.from_numpy(labels)
-            return cross_entropy(logits, labels, weights, reduction="none"), logits, labels
-
-    for result in workers.map(judge, list(_batches(part.runs(_SCORED, len(part.samples), rng), _SCORED))):
-        tally.add(*result)
+    tally = _Tally()
+    logits, labels = sample_logits(network, part, workers)
+    tally.add(cross_entropy(logits, labels, weights, reduction="none"), logits, labels)
     return tally.loss, tally.accuracy
 
 
@@ -390,7 +411,7 @@ def _run_epoch(
     def differentiate(runs, seed):
         rng = np.random.default_rng(seed)
         turns = rng.integers(4, size=len(runs))
-        channels, coords, wanted, labels = part.batch(runs, turns, schedule.thinning, rng)
+        channels, coords, wanted, labels = part.batch(runs, turns, rng)
         labels = torch.from_numpy(labels)
         logits = sparse_logits(network, channels, coords, wanted, torch.Generator().manual_seed(seed))
         losses = cross_entropy(logits, labels, weights, reduction="none")

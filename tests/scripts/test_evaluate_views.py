@@ -1,10 +1,11 @@
 """evaluate_views on the tiny street."""
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from scripts import evaluate_views
-from streetscan.classes import GROUND, UNLABELLED
+from streetscan.classes import CAR, FACADE, GROUND, UNLABELLED
 from streetscan.errors import BadInput
 from streetscan.io.label_tiles import write_label_tile
 from streetscan.voxels import voxelize
@@ -31,6 +32,8 @@ def inputs(tiny_map, tiny_world, tmp_path):
         "prediction_paths": paths,
         "width_px": 120,
         "reach_m": 60.0,
+        "n_failures": 3,
+        "k": 9,
     }
 
 
@@ -38,13 +41,14 @@ def test_pictures_with_truth(inputs, tmp_path):
     evaluate_views.main(**inputs, truth_path=str(tmp_path / "labels.npy"), folder=str(tmp_path / "views"))
     names = {f"{kind}_{side}.png" for kind in ("predicted", "true", "errors") for side in ("top", "street")}
     names |= {f"{kind}_{side}.jpg" for kind in ("intensity", "rgb") for side in ("top", "street")}
-    assert {p.name for p in (tmp_path / "views").iterdir()} == names | {"class_shares.svg", "reliability.svg"}
+    names |= {"class_shares.svg", "reliability.svg", "volumes.png", "failures.csv"}
+    assert {p.name for p in (tmp_path / "views").iterdir()} == names
 
 
 def test_pictures_without_truth(inputs, tmp_path):
     evaluate_views.main(**inputs, truth_path=None, folder=str(tmp_path / "views"))
     labels = {p.name for p in (tmp_path / "views").iterdir() if p.suffix != ".jpg"}
-    assert labels == {"predicted_top.png", "predicted_street.png", "class_shares.svg"}
+    assert labels == {"predicted_top.png", "predicted_street.png", "class_shares.svg", "volumes.png"}
 
 
 def test_an_incomplete_label_map_is_refused(inputs, tmp_path):
@@ -53,3 +57,15 @@ def test_an_incomplete_label_map_is_refused(inputs, tmp_path):
             **inputs | {"prediction_paths": inputs["prediction_paths"][:1]}, truth_path=None, folder=str(tmp_path / "views")
         )
     assert not (tmp_path / "views").exists()
+
+
+def test_failures_are_drawn_and_listed(inputs, tmp_path):
+    true = np.load(tmp_path / "labels.npy")
+    called_facade = np.where(true == CAR, FACADE, np.where(true == UNLABELLED, GROUND, true))
+    for k, path in enumerate(inputs["prediction_paths"]):
+        rows = np.arange(len(true))[k::2]
+        write_label_tile(path, rows, called_facade[rows], np.full(len(rows), 0.9))
+    evaluate_views.main(**inputs, truth_path=str(tmp_path / "labels.npy"), folder=str(tmp_path / "views"))
+    failures = pd.read_csv(tmp_path / "views" / "failures.csv")
+    assert failures[["true", "predicted"]].to_numpy().tolist() == [["car", "facade"]]
+    assert (tmp_path / "views" / "failures.png").is_file()

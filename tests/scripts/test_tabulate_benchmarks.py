@@ -17,7 +17,7 @@ from streetscan.segmentation.metrics import evaluate_labels
 
 CONFIG = {"run": "try", "seed": 1, "labelled_maps": ["city/c2cnn"]}
 TABLES = {"nagy_1_2", "nagy_2_3", "nagy_2_4", "nagy_2_3_natural", "map_cleaning", "jozsa_1", "jozsa_2", "registration", "grid_classes"}
-TABLES |= {"nagy_3_1", "localization", "localization_verdicts"}
+TABLES |= {"nagy_3_1", "localization", "localization_verdicts", "confidence"}
 REGISTERED = [("my_drive", "ndt_tall"), ("my_drive", "ndt_raw"), ("my_drive", "kiss_icp")]
 LOCALIZED = [("city", "my_drive", m, n, "main_road") for m, n in (("raw", "voting_8"), ("c2cnn", "voting_8"), ("c2cnn", "crossmodal"))]
 EVALUATED = [("city", "c2cnn"), ("oakland", "c2cnn_from_city")]
@@ -47,6 +47,8 @@ def inputs(tmp_path):
         "calibrated": [],
         "verdicts": [],
         "localization_pictures": [],
+        "network_scores": [],
+        "network_reliabilities": [],
     }
     for dataset, _ in EVALUATED:
         true = rng.integers(0, 9, 3000).astype(np.uint8)
@@ -120,6 +122,7 @@ def run(inputs, folder):
         outputs,
         evaluated=EVALUATED,
         trained=[("city", "c2cnn")],
+        known=[],
         viewed=[["my_street", "c2cnn_shipped"]],
         registered=REGISTERED,
         merged=REGISTERED[:1],

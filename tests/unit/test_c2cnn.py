@@ -13,6 +13,7 @@ from streetscan.segmentation.c2cnn import (
     check_same_settings,
     drop,
     extract_cubes,
+    grid_channels,
     input_channels,
     load_network,
     save_network,
@@ -47,6 +48,14 @@ def test_every_odd_size_gives_an_output(k):
 @pytest.mark.parametrize(("k", "n_poolings"), [(7, 0), (9, 0), (11, 1), (17, 1), (19, 2), (23, 2)])
 def test_small_cubes_lose_poolings(k, n_poolings):
     assert sum(layer.kind == "pool" for layer in Settings(k=k).layers) == n_poolings
+
+
+@pytest.mark.parametrize("k", range(7, 47, 2))
+def test_padded_networks_keep_both_poolings(k):
+    settings = Settings(k=k, channels=("occupancy",), is_padded=True)
+    assert [layer.kind for layer in settings.layers] == ["conv", "pool", "conv", "pool", "conv", "dense"]
+    assert settings.layers[-1].width == k // 4
+    assert C2CNN(settings)(torch.zeros(2, 1, k, k, k)).shape == (2, 9)
 
 
 @pytest.mark.parametrize(
@@ -86,6 +95,13 @@ def test_input_channels_by_hand():
     raw = input_channels(counts, height, Settings(channels=("occupancy", "count"), count_scale="raw"))
     np.testing.assert_array_equal(raw, [[1, 1], [1, 7]])
     assert raw.dtype == np.float32
+
+
+def test_local_counts_by_hand():
+    """Two voxels in one square of columns: their mean is 4, as much as ten points say."""
+    grid = make_grid([[0, 0, 0], [5, 0, 30]], counts=[2, 6])
+    found = grid_channels(grid, Settings(k=11, channels=("count",), count_scale="local"))
+    np.testing.assert_allclose(found[:, 0], np.log1p([5, 15]), rtol=1e-6)
 
 
 def test_unknown_heights_are_refused_only_where_they_are_used():

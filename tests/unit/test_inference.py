@@ -39,6 +39,20 @@ def test_labels_are_those_of_the_cubes(grid):
     np.testing.assert_allclose(confidence[picked], shares.max(1), atol=1e-5)
 
 
+def test_turns_are_looked_at_together(grid):
+    """Every label is that of the mean over the turned cubes; a turned map has the same labels."""
+    _, labels, confidence = label_voxels(NETWORK, grid, 4.0, n_turns=4)
+    picked = np.arange(len(grid))[::50]
+    channels = input_channels(grid.counts, grid.height_m, NETWORK.settings)
+    with torch.no_grad():
+        cubes = [extract_cubes(grid, channels, grid.keys[picked], np.full(len(picked), turn), 11) for turn in range(4)]
+        shares = np.mean([torch.softmax(NETWORK(torch.from_numpy(c)), 1).numpy() for c in cubes], axis=0)
+    np.testing.assert_array_equal(labels[picked], shares.argmax(1))
+    np.testing.assert_allclose(confidence[picked], shares.max(1), atol=1e-5)
+    one = label_voxels(NETWORK, grid, 4.0)[1]
+    assert (one != labels).any()
+
+
 def test_nine_groups_give_what_one_gives(grid):
     whole = label_voxels(NETWORK, grid, 2.0)
     parts = [label_voxels(NETWORK, grid, 2.0, k, 9) for k in range(9)]

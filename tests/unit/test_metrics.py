@@ -89,21 +89,40 @@ def test_cleaning_by_hand():
     assert np.isnan(metrics.rate_cleaning(truth[:3], predicted[:3], (PHANTOM,))[1:]).all()
 
 
+def gap(is_right, confidence, weights=None, **more):
+    return metrics.calibration_error(metrics.reliability_bins(is_right, confidence, weights, **more))
+
+
 def test_calibration_by_hand():
     is_right = np.array([True, True, False, True])
     # Two bins: 0.4 with 1 of 1 right, 0.9 with 2 of 3 right.
-    error = metrics.calibration_error(is_right, np.array([0.4, 0.9, 0.9, 0.9]), n_bins=2)
+    error = gap(is_right, np.array([0.4, 0.9, 0.9, 0.9]), n_bins=2)
     assert error == pytest.approx((1 * 0.6 + 3 * (0.9 - 2 / 3)) / 4)
-    assert metrics.calibration_error(np.ones(5, bool), np.ones(5)) == 0.0
-    assert metrics.calibration_error(np.zeros(2, bool), np.zeros(2)) == 0.0
-    assert np.isnan(metrics.calibration_error(np.empty(0, bool), np.empty(0)))
+    assert gap(np.ones(5, bool), np.ones(5)) == 0.0
+    assert gap(np.zeros(2, bool), np.zeros(2)) == 0.0
+    assert np.isnan(gap(np.empty(0, bool), np.empty(0)))
+
+
+def test_reliability_by_hand():
+    bins = metrics.reliability_bins(np.array([False, True, False, True]), np.array([0.05, 0.55, 0.55, 1.0]), n_bins=10)
+    assert bins["n"].tolist() == [1, 0, 0, 0, 0, 2, 0, 0, 0, 1]
+    assert bins["accuracy"][5] == 0.5
+    assert np.isnan(bins["accuracy"][1])
+    assert metrics.calibration_error(bins) == pytest.approx((0.05 + 2 * 0.05 + 0) / 4)
+
+
+def test_weights_of_answers_are_repetitions():
+    rng = np.random.default_rng(0)
+    is_right, confidence, weights = rng.random(50) < 0.6, rng.random(50), rng.integers(1, 5, 50)
+    repeated = gap(np.repeat(is_right, weights), np.repeat(confidence, weights))
+    assert gap(is_right, confidence, weights) == pytest.approx(repeated)
 
 
 def test_a_confident_guesser_is_found_out():
     rng = np.random.default_rng(0)
     confidence = rng.uniform(0, 1, 200_000)
-    assert metrics.calibration_error(rng.random(200_000) < confidence, confidence) < 0.01
-    assert metrics.calibration_error(rng.random(200_000) < confidence / 2, confidence) == pytest.approx(0.25, abs=0.01)
+    assert gap(rng.random(200_000) < confidence, confidence) < 0.01
+    assert gap(rng.random(200_000) < confidence / 2, confidence) == pytest.approx(0.25, abs=0.01)
 
 
 def test_groups_by_hand():

@@ -7,6 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch.nn.functional import cross_entropy
 
+from streetscan.segmentation import sparse
 from streetscan.segmentation.c2cnn import C2CNN, Settings, extract_cubes
 from streetscan.segmentation.sparse import _bitmap, _rank, _spread, find_sites, sparse_logits
 from streetscan.voxels import VoxelGrid
@@ -47,6 +48,21 @@ def compare(network, grid, channels, wanted):
 def test_logits_and_gradients_equal_the_cubes(k):
     grid, channels = make_scene(k)
     compare(make_network(k), grid, channels, grid.keys[::29])
+
+
+@pytest.mark.parametrize("k", [7, 11, 17])
+def test_padded_networks_are_evaluated_cube_by_cube(k):
+    grid, channels = make_scene(k)
+    compare(make_network(k, is_padded=True), grid, channels, grid.keys[::29])
+
+
+def test_many_padded_cubes_are_evaluated_in_parts(monkeypatch):
+    grid, channels = make_scene(2)
+    network = make_network(7, is_padded=True)
+    with torch.no_grad():
+        whole = sparse_logits(network, channels, grid.keys, grid.keys[:50])
+        monkeypatch.setattr(sparse, "_CUBES", 8)
+        np.testing.assert_allclose(sparse_logits(network, channels, grid.keys, grid.keys[:50]), whole, atol=1e-6)
 
 
 def test_one_channel():

@@ -5,32 +5,15 @@ import dataclasses
 import numpy as np
 import pytest
 import torch
+from toy_parts import PATCH_VOXELS, SETTINGS, make_part
 
 from streetscan.errors import BadInput
 from streetscan.segmentation import training
 from streetscan.segmentation.c2cnn import C2CNN, Settings, extract_cubes
 from streetscan.segmentation.sparse import open_workers, sparse_logits
 from streetscan.segmentation.training import Part, Samples, Schedule, class_weights, score, train
-from streetscan.voxels import VoxelGrid
 
-SETTINGS = Settings(k=9, n_hidden=32)
-SCHEDULE = Schedule(n_epochs=3, samples_per_epoch=600, patch_voxels=15, samples_per_patch=8, samples_per_batch=64)
-
-
-def make_part(seed, settings=SETTINGS, n_per_class=150):
-    """Floor, walls and loose clutter: labels 0, 1 and 6."""
-    rng = np.random.default_rng(seed)
-    floor = np.c_[rng.integers(0, 80, (1500, 2)), np.zeros(1500, int)]
-    wall = np.c_[rng.integers(0, 80, 1500), np.full(1500, 40), rng.integers(1, 30, 1500)]
-    clutter = rng.integers([0, 50, 5], [80, 80, 25], (1500, 3))
-    keys, first = np.unique(np.concatenate([floor, wall, clutter]) - 20, axis=0, return_index=True)
-    labels = np.repeat([0, 1, 6], 1500)[first].astype(np.uint8)
-    counts = rng.integers(1, 20, len(keys)).astype(np.uint32)
-    height = (0.1 * (keys[:, 2] + 20)).astype(np.float32)
-    grid = VoxelGrid(np.zeros(3), 0.1, keys.astype(np.int32), counts, height.astype(np.float64), height)
-    rows = np.concatenate([rng.choice(np.flatnonzero(labels == c), n_per_class, replace=False) for c in (0, 1, 6)])
-    samples = Samples(grid.keys[rows], labels[rows])
-    return Part(grid, samples, settings, SCHEDULE.patch_voxels)
+SCHEDULE = Schedule(n_epochs=3, samples_per_epoch=600, patch_voxels=PATCH_VOXELS, samples_per_patch=8, samples_per_batch=64)
 
 
 @pytest.fixture(scope="module")
@@ -62,7 +45,7 @@ def test_a_batch_gives_each_sample_the_logits_of_its_cube(k):
     part = make_part(3, settings)
     runs = part.runs(5, 60, np.random.default_rng(0))
     turns = np.random.default_rng(0).integers(4, size=len(runs))
-    channels, coords, wanted, labels = part.batch(runs, turns, 1.0, np.random.default_rng(0))
+    channels, coords, wanted, labels = part.batch(runs, turns)
     picked, cube_turns = np.concatenate(runs), np.repeat(turns, [len(run) for run in runs])
     np.testing.assert_array_equal(labels, part.samples.labels[picked])
     network = C2CNN(settings, 1)
@@ -73,13 +56,29 @@ def test_a_batch_gives_each_sample_the_logits_of_its_cube(k):
     np.testing.assert_allclose(ours, expected, atol=1e-5)
 
 
-def test_thinning_keeps_the_samples_own_voxels_and_lowers_counts(part):
+def test_thinning_keeps_the_samples_own_voxels_and_lowers_counts():
+    part = make_part(1)
+    part.thin(0.1)
     runs = part.runs(8, 200, np.random.default_rng(0))
     turns = np.zeros(len(runs), np.int64)
-    full, full_coords, wanted, _ = part.batch(runs, turns, 1.0, np.random.default_rng(1))
-    thin, coords, _, _ = part.batch(runs, turns, 0.1, np.random.default_rng(1))
+    full, full_coords, wanted, _ = part.batch(runs, turns)
+    thin, coords, _, _ = part.batch(runs, turns, np.random.default_rng(1))
     assert set(map(tuple, wanted)) <= set(map(tuple, coords)) < set(map(tuple, full_coords))
     assert np.expm1(thin[:, 0]).sum() < np.expm1(full[:, 0]).sum()
+
+
+def test_local_counts_stay_where_thinning_lowers_them():
+    """The mean of the relative counts hardly moves; that of the counts falls."""
+    means = {}
+    for scale in ("log", "local"):
+        part = make_part(1, dataclasses.replace(SETTINGS, count_scale=scale))
+        part.thin(0.25)
+        runs = part.runs(8, 450, np.random.default_rng(0))
+        turns = np.zeros(len(runs), np.int64)
+        drawn = [np.concatenate([part.batch(runs, turns, np.random.default_rng(i))[0][:, 0] for i in range(5)])]
+        means[scale] = np.expm1(part.batch(runs, turns)[0][:, 0]).mean(), np.expm1(drawn[0]).mean()
+    assert means["log"][1] < 0.8 * means["log"][0]
+    assert means["local"][1] == pytest.approx(means["local"][0], rel=0.05)
 
 
 def test_class_weights_by_hand():

@@ -42,7 +42,7 @@ def test_schema_is_closed_and_described(path):
 
 
 # Sections that describe things by name rather than a step.
-NAMED = {"first_run", "models", "registrars", "localizers", "image_detectors", "lidar_detectors"}
+NAMED = {"first_run", "voxel_variants", "models", "registrars", "localizers", "image_detectors", "lidar_detectors"}
 
 
 def test_every_section_is_a_step():
@@ -111,6 +111,9 @@ SELF_STARTED = {"channels": ["count"], "weights": "own", "initial": "city_tiny/a
         ({"registrars": {"ndt_tall": {"classes": ["walls"]}}}, "registrars.ndt_tall.classes"),
         ({"register_frames": {"settings": {"ndt": {"n_neighbours": 3}}}}, "register_frames.settings.ndt.n_neighbours"),
         ({"labelled_maps": ["oakland/c2cnn_shipped"], "data_root": "nowhere"}, "nowhere/oakland"),
+        ({"voxel_variants": {"city": {"dataset": "city_tiny", "size_m": 0.2}}}, "voxel_variants: 'city'"),
+        ({"tuned_models": ["city_tiny/c2cnn_shipped"]}, "no network trained on that data set"),
+        ({"tuned_models": ["city_tiny/lightgbm"]}, "no network trained on that data set"),
     ],
 )
 def test_impossible_value_is_named_in_one_sentence(override, named, tmp_path):

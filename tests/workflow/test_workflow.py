@@ -82,3 +82,25 @@ def test_city_drives_are_simulated_and_scored(tmp_path):
     rules = {job.rule for job in jobs}
     assert {"simulate_drive", "segment_frames", "evaluate_frames", "register_frames", "evaluate_registration", "show_frames"} <= rules
     assert not rules & {"import_drive", "merge_frames", "label_map"}
+
+
+def test_compared_networks_are_trained_and_no_map_is_labelled(tmp_path):
+    """Maps are simulated once, however many voxel sizes they are seen in."""
+    jobs = dry_run("--configfile", str(HOME / "config" / "parameters.yaml"), directory=tmp_path)
+    rules = [job.rule for job in jobs]
+    assert rules.count("train_segmenter") == rules.count("calibrate_segmenter") == 17
+    assert rules.count("voxelize_map") == 14
+    assert rules.count("simulate_city") == 2
+    assert not set(rules) & {"label_map", "clean_map", "evaluate_labels"}
+
+
+def test_a_model_may_be_calibrated_for_the_shares_of_another_map(tmp_path, shared_data):
+    """It shares the training of the network whose weights it takes."""
+    config = str(HOME / "config" / "oakland.yaml")
+    jobs = dry_run("--configfile", config, "--config", f"data_root={shared_data}", directory=tmp_path)
+    made = {output: job for job in jobs for output in job.outputs}
+    natural = made["results/calibrate_segmenter/oakland/c2cnn_natural/weights.safetensors"]
+    assert "results/train_segmenter/oakland/c2cnn/weights.safetensors" in natural.inputs
+    labelled = made["results/label_map/oakland/test/c2cnn_natural/map_0of2.laz"]
+    assert "results/calibrate_segmenter/oakland/c2cnn_natural/weights.safetensors" in labelled.inputs
+    assert "results/train_segmenter/oakland/c2cnn_natural/weights.safetensors" not in made
