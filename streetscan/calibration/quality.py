@@ -49,7 +49,7 @@ class QualitySettings:
     """
 
     min_objects: int = 1
-    max_sigma_px: float = 15.0
+    max_sigma_px: float = 8.0
     max_distance_m: float = 0.06
     min_edge_margin_px: float = 0.0
     edge_turn_deg: float = 0.5
