@@ -18,7 +18,7 @@ HOME = Path(__file__).resolve().parent.parent
 KEPT = HOME / "docs" / "results"
 MAX_BYTES = 5_000_000
 # Pictures of a kept report are no wider than this, and coarser than those of the report itself.
-WIDTH_PX, QUALITY = 720, 50
+WIDTH_PX, QUALITY = 640, 45
 
 
 def describe_hardware() -> str:

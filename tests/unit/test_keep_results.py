@@ -19,7 +19,7 @@ def test_pictures_of_a_kept_report_are_small():
     html = f'<p>Table</p><img src="{_uri("png", noise)}"><img src="{_uri("png", noise[:2, :2])}"><img src="{drawing}">'
     small = shrink_report(html)
     contents = [base64.b64decode(c) for c in re.findall(r"data:image/(?:webp|png);base64,([A-Za-z0-9+/=]+)", small)]
-    assert [cv2.imdecode(np.frombuffer(c, np.uint8), 1).shape for c in contents] == [(405, WIDTH_PX, 3), (2, 2, 3)]
+    assert [cv2.imdecode(np.frombuffer(c, np.uint8), 1).shape for c in contents] == [(360, WIDTH_PX, 3), (2, 2, 3)]
     assert len(small) < len(html) / 4
     assert small.startswith("<p>Table</p>")
     assert drawing in small
