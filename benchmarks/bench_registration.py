@@ -1,7 +1,6 @@
 """Grid classes, registration of pairs (Józsa & Benedek 2013, Table 1), odometry against KISS-ICP and small_gicp, merging."""
 
 import lzma
-import resource
 import subprocess
 import sys
 import tempfile
@@ -13,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import open3d as o3d
 
+from benchmarks.bench_drives import peak_memory_mb
 from streetscan.drives import Recording, read_drive_facts
 from streetscan.frames import LidarFrame
 from streetscan.geometry import transform
@@ -319,7 +319,7 @@ def _run_many(step: str, n_frames: int) -> None:
     """Prints the seconds and the peak memory in MB."""
     with tempfile.TemporaryDirectory() as folder:
         seconds = _time(lambda: _MANY[step](n_frames, Path(folder)))
-    print(seconds, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
+    print(seconds, peak_memory_mb())
 
 
 if __name__ == "__main__":
