@@ -53,11 +53,12 @@ def list_files(root: Path, pattern: str, key: str) -> dict[int, Path]:
     Raises:
         BadInput: no pattern below the root, no file found, a name without number, or one number twice.
     """
+    remedy = f"write {key} relative to root, like folder/*.bin, or **/*.bin for all folders"
+    if Path(pattern).is_absolute():
+        raise BadInput(root, f"the pattern '{pattern}' finds nothing (it is absolute)", remedy)
     try:
         paths = sorted([*root.glob(pattern), *root.glob(pattern + ".xz")])
-    # pathlib refuses absolute patterns and `**` within a name.
-    except (NotImplementedError, ValueError) as error:
-        remedy = f"write {key} relative to root, like folder/*.bin, or **/*.bin for all folders"
+    except ValueError as error:  # such as `**` within a name
         raise BadInput(root, f"the pattern '{pattern}' finds nothing ({error})", remedy) from error
     if not paths:
         if os.path.isdir(folder := root / Path(pattern).parent):
