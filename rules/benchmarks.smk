@@ -271,6 +271,7 @@ rule evaluate_calibration:
         keyframes="results/choose_keyframes/{drive}/keyframes.csv",
         calibrations=lambda w: for_keyframes("results/calibrate_keyframe/{drive}/{keyframe}/calibration.yaml", [w.drive]),
         drive_calibration="results/calibrate_drive/{drive}/calibration.yaml",
+        history="results/calibrate_drive/{drive}/history.csv",
     output:
         errors="results/evaluate_calibration/{drive}/errors.csv",
         transforms="results/evaluate_calibration/{drive}/transforms.csv",

@@ -235,7 +235,7 @@ def _draw_image(axis: plt.Axes, inspection: Inspection, row: int, name: str, pix
     """An image, and the points of its frame where model and place of the camera are known; how many they are."""
     axis.imshow(pixels)
     n_points, model = None, inspection.camera_models.get(name)
-    T = inspection.T_camera_lidar.get(name)
+    T = inspection.T_camera_lidar_at(row, name)
     if T is None and name == CAMERA:
         T = _mounted_camera(inspection)
     if model is not None and T is not None:

@@ -9,6 +9,7 @@ import pandas as pd
 
 from streetscan import geodesy, geometry
 from streetscan.errors import BadInput
+from streetscan.extrinsics import extrinsics_at
 from streetscan.frames import CAMERA, CameraImage, CameraModel, GpsFix, LidarFrame, Mounting
 from streetscan.io.arrays import load_npy
 from streetscan.io.files import find_file, read_yaml
@@ -31,7 +32,7 @@ class Inspection:
         poses: (n, 4, 4) true poses in their map, NaN where unknown, or None.
         camera_models: intrinsics by the name of the camera.
         mountings: what the user gave.
-        T_camera_lidar: true places of the cameras by name, as far as known.
+        extrinsics: true places of the cameras by name, as far as known; see `streetscan.extrinsics.extrinsics_at`.
         labels_ids: whose label ids the truth has, or None.
         crs: of the true poses, or None.
         labels: true classes (N,) uint8 of the pictured frames, by their row, where the truth has ours.
@@ -39,7 +40,6 @@ class Inspection:
         pictured: a few whole lidar frames, evenly spread, by their row.
         images: of each of them that has one its nearest image by the name of the camera.
         image_times_s: stamps (n,) of all images by the name of the camera.
-        time_offsets_s: what a camera's stamps are ahead of the lidar's clock, by its name, as far as known.
     """
 
     frames: pd.DataFrame
@@ -47,7 +47,7 @@ class Inspection:
     poses: np.ndarray | None
     camera_models: dict[str, CameraModel]
     mountings: list[Mounting]
-    T_camera_lidar: dict[str, np.ndarray]
+    extrinsics: dict[str, dict]
     labels_ids: str | None
     pictured: dict[int, LidarFrame]
     images: dict[int, dict[str, CameraImage]]
@@ -55,7 +55,6 @@ class Inspection:
     labels: dict[int, np.ndarray] = field(default_factory=dict)
     changes: pd.DataFrame | None = None
     image_times_s: dict[str, np.ndarray] = field(default_factory=dict)
-    time_offsets_s: dict[str, float] = field(default_factory=dict)
 
     def points_at_image(self, row: int, camera: str) -> tuple[np.ndarray, bool]:
         """Points (N, 3) of a pictured frame in frame `lidar` at the moment of its image, and whether the true poses carried them there.
@@ -66,12 +65,17 @@ class Inspection:
         times_s = self.frames["time_s"].to_numpy(np.float64)
         known = np.zeros(len(times_s), bool) if self.poses is None else np.isfinite(self.poses).all(axis=(1, 2))
         known[1:] &= times_s[1:] > np.maximum.accumulate(times_s)[:-1]
-        image_s = self.images[row][camera].time_ns * 1e-9 - self.time_offsets_s.get(camera, 0.0)
+        # What its stamps are ahead of the lidar's clock is in a simulated drive's truth.
+        image_s = self.images[row][camera].time_ns * 1e-9 - self.extrinsics.get(camera, {}).get("time_offset_s", 0.0)
         if known.sum() < 2 or not times_s[known][0] <= image_s <= times_s[known][-1]:
             return frame.points, False
         offsets_s = np.zeros(len(frame)) if frame.time_offset_s is None else frame.time_offset_s.astype(np.float64)
         carried = deskew_along(frame.points, offsets_s + times_s[row] - image_s, image_s, times_s[known], self.poses[known])
         return np.where(np.isfinite(carried), carried, frame.points), True
+
+    def T_camera_lidar_at(self, row: int, camera: str) -> np.ndarray | None:
+        """The true one (4, 4) of a pictured frame's image, or None."""
+        return extrinsics_at(self.extrinsics[camera], self.images[row][camera].time_ns) if camera in self.extrinsics else None
 
     @property
     def gaps(self) -> pd.DataFrame:
@@ -201,7 +205,7 @@ def inspect_drive(mcap_path: str | Path, frames_path: str | Path, truth_folder: 
         poses,
         models,
         mountings,
-        {name: np.array(place["T_camera_lidar"]) for name, place in places.items()},
+        places,
         ids,
         pictured,
         images,
@@ -211,7 +215,6 @@ def inspect_drive(mcap_path: str | Path, frames_path: str | Path, truth_folder: 
         else {},
         _read_changes(changes) if changes is not None and changes.is_file() else None,
         {name: np.array(times_s) for name, times_s in sorted(image_times_s.items())},
-        {name: place["time_offset_s"] for name, place in places.items() if "time_offset_s" in place},
     )
 
 

@@ -96,7 +96,8 @@ def draw_reconstructions(models: Sequence[str]) -> list[Section]:
 
 
 def calibration_scores(paths: Sequence[str]) -> list[dict]:
-    """Rows of the tidy scores: Tables 4.1 and 4.2 over all keyframes, and one row per drive in the table `calibration`.
+    """Rows of the tidy scores: Tables 4.1 and 4.2 over all keyframes, one row per drive in the table `calibration`, and one per drive whose
+    camera was moved in the table `mount_shift`.
 
     Args:
         paths: `evaluate_calibration/<drive>/scores.csv`, one per drive.
@@ -106,6 +107,7 @@ def calibration_scores(paths: Sequence[str]) -> list[dict]:
         drive = Path(path).parent.name
         found = read_csv(path, ("set", "stage", "metric", "value", "unit", "n"), "evaluate_calibration").fillna({"set": "", "stage": ""})
         is_both = {"slow", "fast"} <= set(found["set"])
+        is_moved = bool((found["metric"].eq("noticed_after") & found["n"].gt(0)).any())
         for r in found.to_dict("records"):
             figure = r["value"], r["unit"], r["n"], drive
             if r["stage"] == "final":
@@ -117,6 +119,8 @@ def calibration_scores(paths: Sequence[str]) -> list[dict]:
                 pixels.append((("nagy_4_2", _STEPS[r["stage"]], "", r["metric"]), *figure, r["stage"]))
             elif r["stage"] in ("", "drive"):
                 rows.append(make_score("calibration", drive, "", r["metric"], *figure, r["stage"] or "keyframes"))
+            elif r["stage"] == "shift" and is_moved:
+                rows.append(make_score("mount_shift", drive, "", r["metric"], *figure, r["stage"]))
     return rows + _pool(pixels)
 
 

@@ -5,20 +5,26 @@ Source: Nagy (2020), 4.4.1, Tables 4.1 and 4.2 (N-235 to N-239).
 The true pixel of a lidar point is where the camera, at the image's time, sees the surface point that was hit: known for what stands still
 in a simulated drive. A real recording has no such truth; there only transforms are compared, where its file gives extrinsics.
 
+A camera that was moved in mid-drive has two true places: a keyframe is compared with the one at its image, the drive with the last.
+
 ASSUME: the thesis picks ten corner-like points of a keyframe by hand; ours are ten depth edges of what stands still, spread over the image.
 ASSUME: its average and deviation are those of the absolute errors along an axis.
 """
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
+from streetscan.calibration.keyframes import Keyframe
 from streetscan.calibration.linear_projection import project_linear
 from streetscan.calibration.projection import choose_spread, project_pinhole
 from streetscan.calibration.quality import depth_edges
 from streetscan.calibration.reconstruction_evaluation import true_camera_poses
+from streetscan.extrinsics import extrinsics_at, is_after_shift
 from streetscan.frames import LidarFrame
 from streetscan.geometry import apply, interpolate_poses, invert, rotation_angle
 from streetscan.io.arrays import load_npy
@@ -39,7 +45,9 @@ _GATES = ("median_distance_m", "edge_margin_px", "sigma_x_px", "sigma_y_px")
 # ASSUME: a keyframe is truly good when no axis' mean error over all static points is above this; the thesis' projections are at 2.6 to 3.1.
 GOOD_PX = 2.0
 _GATE_SHARE = 0.95
-TRANSFORM_COLUMNS = ("keyframe", "status", "rotation_deg", "translation_m", "forward_m", "offset_error_s", "sigma_m", "sigma_deg")
+TRANSFORM_COLUMNS = (
+    "keyframe", "status", "is_after_shift", "rotation_deg", "translation_m", "forward_m", "offset_error_s", "sigma_m", "sigma_deg",
+)  # fmt: skip
 
 
 @dataclass
@@ -138,22 +146,37 @@ def score_keyframe(calibration: dict, keyframe: int, truth: TruePixels | None) -
     return rows
 
 
+def times_of_images(keyframes: Sequence[Keyframe], calibrations: Sequence[dict]) -> list[int]:
+    """The stamps in ns of the images that keyframes were, or would have been, calibrated at.
+
+    Without a reconstruction it is the first image; a place without images counts as the one before it.
+    """
+    times_ns = [-1]
+    for keyframe, found in zip(keyframes, calibrations, strict=True):
+        own_ns = found["image_time_ns"] or next(iter(keyframe.image_times_ns), keyframe.lidar_time_ns)
+        times_ns.append(max(own_ns, times_ns[-1]))
+    return times_ns[1:]
+
+
 def score_transform(
-    name: str, status: str, T: list | None, extrinsics: dict, offset_s: float | None = None, std: dict | None = None
-) -> dict:
+    name: str, status: str, T: list | None, extrinsics: dict, image_time_ns: float = math.inf, offset_s: float | None = None,
+    std: dict | None = None,
+) -> dict:  # fmt: skip
     """A row of TRANSFORM_COLUMNS: a found T_camera_lidar against the true one.
 
     Args:
         name: the keyframe, or `drive`.
         status: its status.
         T: 4 x 4, or None.
-        extrinsics: of the truth.
+        extrinsics: of the truth; see `extrinsics_at`.
+        image_time_ns: stamp of the image whose extrinsics count; inf is the end of the drive.
         offset_s: found time offset, or None.
         std: `x_y_z_m` and `turn_deg`, or None.
     """
     row = dict.fromkeys(TRANSFORM_COLUMNS, np.nan) | {"keyframe": name, "status": status}
+    row["is_after_shift"] = is_after_shift(extrinsics, image_time_ns)
     if T is not None:
-        true, found = np.array(extrinsics["T_camera_lidar"]), np.array(T)
+        true, found = extrinsics_at(extrinsics, image_time_ns), np.array(T)
         shift = found[:3, 3] - true[:3, 3]
         row |= {"rotation_deg": float(np.degrees(rotation_angle(invert(true) @ found))), "translation_m": float(np.linalg.norm(shift))}
         row["forward_m"] = float(shift[2])
@@ -164,15 +187,17 @@ def score_transform(
     return row
 
 
-def summarize_errors(errors: pd.DataFrame, transforms: pd.DataFrame) -> pd.DataFrame:
+def summarize_errors(errors: pd.DataFrame, transforms: pd.DataFrame, history: pd.DataFrame) -> pd.DataFrame:
     """`set`, `stage`, `metric`, `value`, `unit`, `n` of a drive.
 
     Args:
         errors: rows of `score_keyframe`.
         transforms: rows of `score_transform`, that of the drive named `drive`.
+        history: of calibrate_drive, a row per keyframe.
     Returns:
-        the share of accepted keyframes, their mean pixel errors by speed and stage, the errors of the drive's transform, and of what the
-        gates look at the limits that let 95 % of the truly good keyframes pass (stage `gate`).
+        the share of accepted keyframes, their mean pixel errors by speed and stage, the errors of the drive's transform, of what the
+        gates look at the limits that let 95 % of the truly good keyframes pass (stage `gate`), and how a shift of the camera was noticed
+        (stage `shift`).
     """
     rows = []
     finals = errors.drop_duplicates("keyframe")
@@ -199,7 +224,34 @@ def summarize_errors(errors: pd.DataFrame, transforms: pd.DataFrame) -> pd.DataF
             ("offset_error_s", "offset_error", "s"),
         ):
             rows.append(("", "drive", metric, row[column], unit, int((finals["status"] == "ok").sum())))
+    rows += _shift_of(transforms[transforms["keyframe"] != "drive"], history)
     return pd.DataFrame(rows, columns=["set", "stage", "metric", "value", "unit", "n"])
+
+
+def _shift_of(transforms: pd.DataFrame, history: pd.DataFrame) -> list[tuple]:
+    """Rows of how a shift was noticed, of a row per keyframe; NaN where there was none, or where it was not.
+
+    Keyframes are counted from the first one after the shift, refused ones too: up to the first that is too far off the mounting before
+    (`is_shifted`), and up to the one after which a keyframe since the shift gives the calibration in force, whose errors these are. Alarms
+    before the shift, and all of a drive without one, are false.
+    """
+    is_after = transforms["is_after_shift"].to_numpy(bool)
+    numbers, in_force = transforms["keyframe"].astype(int)[is_after], history["in_force"][is_after]
+    is_alarm, is_renewed = history["is_shifted"].to_numpy(bool), in_force.isin(numbers).to_numpy()
+    renewed = transforms[is_after][numbers.isin(in_force[is_renewed][:1])]
+    n = int(is_after.sum())
+    return [
+        ("", "shift", "noticed_after", _first(is_alarm[is_after]), "keyframes", n),
+        ("", "shift", "recalibrated_after", _first(is_renewed), "keyframes", n),
+        ("", "shift", "rotation", float(renewed["rotation_deg"].mean()), "deg", n),
+        ("", "shift", "translation", float(renewed["translation_m"].mean()), "m", n),
+        ("", "shift", "false_alarms", float(is_alarm[~is_after].sum()), "keyframes", len(is_after) - n),
+    ]
+
+
+def _first(flags: np.ndarray) -> float:
+    """Which flag is the first that is set, counted from 1; NaN when none is."""
+    return float(flags.argmax()) + 1 if flags.any() else np.nan
 
 
 def _gates_of(errors: pd.DataFrame) -> list[tuple]:

@@ -34,6 +34,7 @@ from streetscan.calibration.keyframes import Keyframe, read_keyframe_lidar
 from streetscan.calibration.linear_projection import project_linear, rigid_of
 from streetscan.calibration.motion import motion_of
 from streetscan.calibration.objects import CloudObjects
+from streetscan.extrinsics import extrinsics_at
 from streetscan.frames import LidarFrame
 from streetscan.geometry import apply, invert, rotation_angle, transform
 from streetscan.io.files import read_yaml
@@ -174,8 +175,7 @@ class Recalibrator:
         """
         self._drive, self._truth, self._keyframes, self._models = drive_path, truth_folder, keyframes, [Path(m) for m in model_folders]
         self._poses, self._find_static, self._settings = poses, find_static, replace(settings, with_raw=False)
-        extrinsics = read_yaml(Path(truth_folder) / "truth.yaml")["extrinsics"]
-        self._T_camera_lidar, self._offset_s = np.array(extrinsics["T_camera_lidar"]), extrinsics.get("time_offset_s", 0.0)
+        self._extrinsics = read_yaml(Path(truth_folder) / "truth.yaml")["extrinsics"]
         self._clouds = lru_cache(maxsize=1)(self._read)
 
     @property
@@ -189,11 +189,12 @@ class Recalibrator:
         number, frame = self._frame_of(trial)
         turned = turn_clouds(clouds, frame, self._find_static(frame), trial.T_turned_lidar, self._poses, image_time_ns)
         truth = find_true_pixels(frame, number, image_time_ns, self._truth, cameras)
-        return score_trial(trial, number, calibrate_keyframe(turned, self._settings), truth, self._T_camera_lidar)
+        T_camera_lidar = extrinsics_at(self._extrinsics, image_time_ns)
+        return score_trial(trial, number, calibrate_keyframe(turned, self._settings), truth, T_camera_lidar)
 
     def score_bins(self, keyframe: int, bins: Sequence[Mapping]) -> list[dict]:
         """The rows of a keyframe's own lidar frame; none where its clouds hold no objects or its motion is not known."""
-        clouds, _, _ = self._clouds(keyframe)
+        clouds, _, image_time_ns = self._clouds(keyframe)
         try:
             lidar, sfm = prepare_objects(
                 clouds.points_lidar[clouds.is_static], clouds.points_sfm[~clouds.is_dynamic_sfm], clouds, self._settings
@@ -202,7 +203,8 @@ class Recalibrator:
             return []
         if clouds.motion is None:
             return []
-        stamped = self._T_camera_lidar @ invert(clouds.motion.at([clouds.motion.image_s - self._offset_s])[0])
+        image_s = clouds.motion.image_s - self._extrinsics.get("time_offset_s", 0.0)
+        stamped = extrinsics_at(self._extrinsics, image_time_ns) @ invert(clouds.motion.at([image_s])[0])
         return score_bins(keyframe, lidar, sfm, invert(clouds.view.T_camera_sfm) @ stamped, self._settings.alignment, bins)
 
     def _read(self, keyframe: int) -> tuple[KeyframeClouds, dict, int]:

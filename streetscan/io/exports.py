@@ -56,10 +56,12 @@ KEPT = {
 }
 # "date" is when the first frame was taken, "frame status" that of the frames that are not `ok` in the frames.csv beside the drive;
 # "further images" are those a format with one image per frame has no number for, "further cameras" images of cameras other than
-# `/camera`; "origin" is the drive's description, source and licence.
+# `/camera`; "shifted extrinsics" are those after a shift of the camera, for which no format has a place; "origin" is the drive's
+# description, source and licence.
 CONTENTS = (
     "points", "intensity", "ring", "firing times", "stamps", "images", "image stamps", "intrinsics", "distortion", "gps", "mounting",
-    "true poses", "true labels", "true extrinsics", "further images", "further cameras", "date", "frame status", "origin",
+    "true poses", "true labels", "true extrinsics", "shifted extrinsics", "further images", "further cameras", "date", "frame status",
+    "origin",
 )  # fmt: skip
 # MCAP keeps the stamp of every image of its own.
 KEPT["mcap"]["image stamps"] = "/camera/image"
@@ -127,6 +129,7 @@ class _Truth:
         if (extrinsics := read_yaml(folder / "truth.yaml").get("extrinsics")) is not None:
             self.T_camera_lidar = np.array(extrinsics["T_camera_lidar"])
             present["true extrinsics"] = 1
+            present["shifted extrinsics"] = int("shift" in extrinsics)
         present["true labels"] = len(list(self._labels.glob("*.npy")))
 
     def labels(self, frame: int) -> np.ndarray | None:

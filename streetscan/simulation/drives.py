@@ -55,6 +55,32 @@ CHANGE_COLUMNS = ["class", "change", "name", "instance", "instance_before", "x_m
 
 
 @dataclass(frozen=True)
+class CameraShift:
+    """A knock in mid-drive that leaves a camera elsewhere.
+
+    ASSUME: it takes no time; an image is taken from where the camera sits in the middle of the exposure.
+
+    Attributes:
+        after_s: since the drive's start.
+        xyz_m: forward, left and up, as the camera looked before.
+        rpy_deg: roll, pitch and yaw of CameraMount, from how it looked before.
+    """
+
+    after_s: float
+    xyz_m: tuple[float, float, float]
+    rpy_deg: tuple[float, float, float]
+
+    @property
+    def T_camera_shifted(self) -> np.ndarray:
+        return geometry.invert(_mount((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))) @ _mount(self.xyz_m, self.rpy_deg)
+
+
+def _mount(xyz_m: tuple[float, float, float], rpy_deg: tuple[float, float, float]) -> np.ndarray:
+    roll_deg, pitch_deg, yaw_deg = rpy_deg
+    return mount_camera(xyz_m, yaw_deg, pitch_deg, roll_deg)
+
+
+@dataclass(frozen=True)
 class CameraMount:
     """A camera on the vehicle, and which of its images are rendered.
 
@@ -68,6 +94,7 @@ class CameraMount:
         is_full_rate: render every image.
         time_offset_s: what the images' stamps are ahead of the lidar's clock.
         jpeg_quality: of the images, 1 to 100.
+        shift: where it sits from some moment on, or None.
         settings: what differs from `streetscan.simulation.camera.Camera`.
         daylight: what differs from `streetscan.simulation.daylight.Daylight`.
     """
@@ -81,13 +108,20 @@ class CameraMount:
     is_full_rate: bool = False
     time_offset_s: float = 0.0
     jpeg_quality: int = 95
+    shift: CameraShift | None = None
     settings: dict = field(default_factory=dict)
     daylight: dict = field(default_factory=dict)
 
     @property
     def T_vehicle_camera(self) -> np.ndarray:
-        roll_deg, pitch_deg, yaw_deg = self.rpy_deg
-        return mount_camera(self.xyz_m, yaw_deg, pitch_deg, roll_deg)
+        """(4, 4) from the start on."""
+        return _mount(self.xyz_m, self.rpy_deg)
+
+    def T_vehicle_camera_at(self, time_s: float) -> np.ndarray:
+        """(4, 4) at a moment after the drive's start."""
+        if self.shift is None or time_s < self.shift.after_s:
+            return self.T_vehicle_camera
+        return self.T_vehicle_camera @ self.shift.T_camera_shifted
 
     @property
     def lens(self) -> Camera:
@@ -138,8 +172,12 @@ def read_simulation(values: dict) -> SimulatedDrive:
     parts = {"day": Day, "gps": Gps}
     plain = {k: tuple(v) if isinstance(v, list) else v for k, v in values.items()}
     one = {CAMERA: plain.pop(CAMERA)} if CAMERA in plain else {}
-    cameras = {name: CameraMount(**mount) for name, mount in (one | plain.pop("cameras", {})).items()}
+    cameras = {name: _read_mount(mount) for name, mount in (one | plain.pop("cameras", {})).items()}
     return SimulatedDrive(**{k: parts[k](**v) if k in parts else v for k, v in plain.items()}, cameras=cameras)
+
+
+def _read_mount(values: dict) -> CameraMount:
+    return CameraMount(**values | ({"shift": CameraShift(**values["shift"])} if "shift" in values else {}))
 
 
 class SimulatedRecording:
@@ -158,7 +196,7 @@ class SimulatedRecording:
             resume_folder: where finished frames are kept until the drive is whole.
             n_threads: of the ray caster.
         Raises:
-            BadInput: the street has no such place, or it is too short for the drive.
+            BadInput: the street has no such place, it is too short for the drive, or a camera is shifted after the drive's end.
         """
         self._drive = drive = read_simulation(facts.simulation)
         self._seed = zlib.crc32(f"{seed} {name}".encode())
@@ -177,8 +215,9 @@ class SimulatedRecording:
         self._n_kept = 0
         one = drive.cameras.get(CAMERA)
         self.camera_model = None if one is None else self._lenses[CAMERA].model
-        self.T_camera_lidar = None if one is None else self._place_of(one)
+        self.T_camera_lidar = None if one is None else self._place_of(one.T_vehicle_camera)
         self._end_s = drive.n_frames / facts.rate_hz
+        _check_shifts(drive, self._end_s, facts.where)
 
         changed = street if drive.traffic_density is None else street | {"traffic_density": drive.traffic_density}
         if drive.is_mapping:
@@ -229,15 +268,15 @@ class SimulatedRecording:
     def _stamp_of_image(self, mount: CameraMount, time_s: float) -> int:
         return self._start_ns + round((time_s + mount.time_offset_s) * _NS)
 
-    def _place_of(self, mount: CameraMount) -> np.ndarray:
+    def _place_of(self, T_vehicle_camera: np.ndarray) -> np.ndarray:
         """T_camera_lidar (4, 4)."""
-        return geometry.invert(mount.T_vehicle_camera) @ self._lidar.T_vehicle_lidar
+        return geometry.invert(T_vehicle_camera) @ self._lidar.T_vehicle_lidar
 
     def true_ranges(self, stamp_ns: int, directions: np.ndarray) -> np.ndarray:
         """How far the camera sees at an image's stamp: metres (N,) along directions (N, 3) in frame `camera`; inf where nothing is hit."""
         mount = self._drive.cameras[CAMERA]
         time_s = (stamp_ns - self._start_ns) / _NS - mount.time_offset_s
-        T_map_camera = self._vehicle_poses(np.array([time_s]))[0] @ mount.T_vehicle_camera
+        T_map_camera = self._vehicle_poses(np.array([time_s]))[0] @ mount.T_vehicle_camera_at(time_s)
         rays = directions / np.linalg.norm(directions, axis=1, keepdims=True) @ T_map_camera[:3, :3].T
         origins = np.tile(T_map_camera[:3, 3], (len(rays), 1))
         return self._caster.cast(origins, rays, np.full(len(rays), time_s)).distances_m
@@ -270,18 +309,24 @@ class SimulatedRecording:
         return contents | {"mountings": {name: T.tolist() for name, T in mountings.items()}}
 
     def _write_camera_truth(self, folder: Path, name: str, mount: CameraMount) -> dict:
-        """Write where a camera was at each of its images; says where it sits."""
+        """Write where a camera was at each of its images; says where it sits, and where and from which image on after a shift."""
         shown_s = np.array([t for t, _ in mount.image_times(self._end_s)])
         stamps_s = np.array([self._stamp_of_image(mount, t) for t in shown_s]) / _NS
-        poses = self._vehicle_poses(shown_s) @ mount.T_vehicle_camera
+        places = np.array([mount.T_vehicle_camera_at(t) for t in shown_s]).reshape(-1, 4, 4)
+        poses = self._vehicle_poses(shown_s) @ places
         of_camera = truth_of_camera(folder, name)
         of_camera.mkdir(exist_ok=True)
         write_poses_csv(of_camera / "camera_poses.csv", np.arange(len(shown_s)), stamps_s, poses)
-        return {
-            "T_camera_lidar": self._place_of(mount).tolist(),
+        place = {
+            "T_camera_lidar": self._place_of(mount.T_vehicle_camera).tolist(),
             "time_offset_s": mount.time_offset_s,
             "source": "simulated: exact; images' stamps are time_offset_s ahead of the lidar's clock",
         }
+        if mount.shift is not None:
+            from_s, T_vehicle_camera = mount.shift.after_s, mount.T_vehicle_camera_at(mount.shift.after_s)
+            later = {"from_image_time_ns": self._stamp_of_image(mount, from_s), "T_camera_lidar": self._place_of(T_vehicle_camera).tolist()}
+            place["shift"] = later
+        return place
 
     def _vehicle_poses(self, times_s: np.ndarray) -> np.ndarray:
         """T_map_vehicle (n, 4, 4)."""
@@ -298,7 +343,7 @@ class SimulatedRecording:
 
     def _image(self, name: str, number: int, time_s: float, is_next: bool) -> CameraImage:
         mount, daylight = self._drive.cameras[name], self._daylights[name]
-        view = self._caster, self._trajectory, mount.T_vehicle_camera, self._lenses[name], time_s
+        view = self._caster, self._trajectory, mount.T_vehicle_camera_at(time_s), self._lenses[name], time_s
         of_camera = [] if name == CAMERA else [zlib.crc32(name.encode())]
 
         def make() -> dict:
@@ -403,6 +448,13 @@ def _check_length(trajectory: Trajectory, drive: SimulatedDrive, duration_s: flo
     if trajectory.end_s < duration_s:
         found = f"{drive.n_frames} frames take {duration_s:.1f} s, the drive is over after {trajectory.end_s:.1f} s"
         raise BadInput(where, found, "take fewer frames, drive slower or start earlier")
+
+
+def _check_shifts(drive: SimulatedDrive, duration_s: float, where: object) -> None:
+    for name, mount in drive.cameras.items():
+        if mount.shift is not None and mount.shift.after_s >= duration_s:
+            found = f"{name}.shift.after_s {mount.shift.after_s} in a drive of {duration_s:.1f} s"
+            raise BadInput(where, found, "let the camera be shifted before the drive ends, or take more frames")
 
 
 def _tabulate_objects(actors: list[Actor], times_s: list[float], times_ns: list[int]) -> pd.DataFrame:

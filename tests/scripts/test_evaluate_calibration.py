@@ -1,27 +1,58 @@
 """The toy's calibration scored against its truth."""
 
+import shutil
+
+import numpy as np
 import pandas as pd
 import pytest
-from toy_calibration import combine_toy
+import yaml
+from toy_calibration import START_NS, combine_toy
 
 from scripts import evaluate_calibration
+from streetscan.geometry import transform
+
+KNOCK = transform([0.5, 0, 0], (0, 0, np.radians(5)))
+
+
+def evaluate(folder, toy_inputs, calibrated, truth_folder=None) -> dict[str, pd.DataFrame]:
+    """The three tables."""
+    of_drive = combine_toy(folder, toy_inputs, calibrated)
+    paths = {name: folder / f"{name}.csv" for name in ("errors_path", "transforms_path", "scores_path")}
+    evaluate_calibration.main(
+        drive_path=toy_inputs["drive_path"], truth_folder=truth_folder or toy_inputs["drive_path"].parent / "truth",
+        keyframes_path=toy_inputs["keyframes_path"], calibration_paths=[calibrated["calibration_path"]],
+        drive_calibration_path=of_drive["calibration_path"], history_path=of_drive["history_path"], **paths,
+    )  # fmt: skip
+    return {name.removesuffix("_path"): pd.read_csv(path).fillna({"set": "", "stage": ""}) for name, path in paths.items()}
 
 
 def test_the_drive_is_scored(tmp_path, toy_inputs, calibrated):
-    of_drive = combine_toy(tmp_path, toy_inputs, calibrated)
-    paths = {name: tmp_path / f"{name}.csv" for name in ("errors_path", "transforms_path", "scores_path")}
-    evaluate_calibration.main(
-        drive_path=toy_inputs["drive_path"], truth_folder=toy_inputs["drive_path"].parent / "truth",
-        keyframes_path=toy_inputs["keyframes_path"], calibration_paths=[calibrated["calibration_path"]],
-        drive_calibration_path=of_drive["calibration_path"], **paths,
-    )  # fmt: skip
-    errors = pd.read_csv(paths["errors_path"]).set_index("stage")
+    tables = evaluate(tmp_path, toy_inputs, calibrated)
+    errors = tables["errors"].set_index("stage")
     assert errors.loc["final", "all_x_px"] < 1
     assert errors.loc["final", "all_y_px"] < 1
     assert errors.loc["final", "speed_kmh"] == pytest.approx(28.8, abs=0.1)
-    transforms = pd.read_csv(paths["transforms_path"]).set_index("keyframe")
+    transforms = tables["transforms"].set_index("keyframe")
     assert transforms.loc["drive", "rotation_deg"] < 0.1
     assert transforms.loc["drive", "translation_m"] < 0.05
-    scores = pd.read_csv(paths["scores_path"], keep_default_na=False).set_index(["set", "stage", "metric"])["value"]
-    assert float(scores["", "", "accepted"]) == 100
-    assert float(scores["slow", "final", "x_mean"]) < 1
+    scores = tables["scores"].set_index(["set", "stage", "metric"])["value"]
+    assert scores["", "", "accepted"] == 100
+    assert scores["slow", "final", "x_mean"] < 1
+    assert np.isnan(scores["", "shift", "noticed_after"])
+
+
+@pytest.mark.parametrize(("from_s", "off"), [(1.0, []), (1.5, ["drive"])])
+def test_a_keyframe_is_compared_with_the_place_at_its_image_and_the_drive_with_the_last(from_s, off, tmp_path, toy_inputs, calibrated):
+    """The toy's image is at 1.012 s; what it was calibrated to holds at that time."""
+    truth_folder = tmp_path / "truth"
+    shutil.copytree(toy_inputs["drive_path"].parent / "truth", truth_folder)
+    truth = yaml.safe_load((truth_folder / "truth.yaml").read_text())
+    place, right = truth["extrinsics"], truth["extrinsics"]["T_camera_lidar"]
+    wrong = (KNOCK @ np.array(right)).tolist()
+    place["T_camera_lidar"], later = (wrong, right) if from_s < 1.012 else (right, wrong)
+    place["shift"] = {"from_image_time_ns": START_NS + round(from_s * 1e9), "T_camera_lidar": later}
+    (truth_folder / "truth.yaml").write_text(yaml.safe_dump(truth))
+    transforms = evaluate(tmp_path, toy_inputs, calibrated, truth_folder)["transforms"].set_index("keyframe")
+    assert transforms.index.tolist() == ["00", "drive"]
+    for name, row in transforms.iterrows():
+        assert row["rotation_deg"] == pytest.approx(5.0 if name in off else 0.0, abs=0.1)

@@ -3,6 +3,7 @@ import logging
 import cv2
 import numpy as np
 import pytest
+import yaml
 from toy_recordings import SCHEMA, START_NS, kitti_facts, png, revolution, write_facts, write_kitti
 
 from scripts.export_drive import main
@@ -45,6 +46,16 @@ def test_kitti_odometry_with_truth(drive):
     truth = trajectories.read_poses_csv(drive / "truth" / "poses.csv")[2]
     np.testing.assert_allclose(lidar, geometry.invert(truth[0]) @ truth, atol=1e-5)
     assert kitti.read_camera(drive / "out" / "calib.txt", 2, 64, 32)[0].K[0, 0] == 50
+
+
+def test_what_a_format_with_one_place_of_the_camera_cannot_tell_is_said_to_be_lost(drive, caplog):
+    path = drive / "truth" / "truth.yaml"
+    truth = yaml.safe_load(path.read_text())
+    truth["extrinsics"]["shift"] = {"from_image_time_ns": START_NS, "T_camera_lidar": np.eye(4).tolist()}
+    path.write_text(yaml.safe_dump(truth))
+    with caplog.at_level(logging.WARNING, "streetscan"):
+        main(drive / "drive.mcap", drive / "out", "kitti_odometry", drive / "truth")
+    assert "shifted extrinsics 1" in {" ".join(line.split()) for line in caplog.text.splitlines()}
 
 
 def test_an_export_is_imported_again(drive):

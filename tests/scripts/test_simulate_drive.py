@@ -19,6 +19,7 @@ from streetscan.classes import FACADE, GROUND, PHANTOM
 from streetscan.drive_sheets import write_drive_sheet
 from streetscan.drives import read_drive_facts
 from streetscan.errors import BadInput
+from streetscan.extrinsics import extrinsics_at
 from streetscan.frames import CameraImage, CameraModel, GpsFix, LidarFrame, Mounting
 from streetscan.inspection import inspect_drive
 from streetscan.io.images import decode_image
@@ -38,6 +39,7 @@ TINY = yaml.safe_load((ROOT / "config" / "datasets" / "city_tiny.yaml").read_tex
 STREET = TINY["simulation"]["street"] | {"length_m": TINY["parts"]["test"]["length_m"], "crs": TINY["crs"]}
 CAMERA = {"xyz_m": [1.25, 0.08, 1.58], "rpy_deg": [0.6, 1.5, -0.8], "n_keyframes": 1, "window": 3, "time_offset_s": 0.004}
 SMALL = {"width": 321, "height": 241, "focal_px": 250.0}
+KNOCK = {"after_s": 0.21, "xyz_m": [0.1, -0.2, 0.1], "rpy_deg": [1.0, 2.0, -3.0]}
 
 
 def run(folder, facts=FACTS, seed=1):
@@ -192,6 +194,9 @@ def test_another_seed_is_another_drive(drive, tmp_path):
         ({"lidar": {"xyz_m": [0.8, 0, 1.7], "rpy_deg": [0, 0, 0], "calibration": "two.yaml"}}, "two.yaml: 2 lasers; give the calibration"),
         ({"camera": CAMERA | {"settings": {"exposure_s": [8e-3, 5e-5]}}}, "exposure_s: .* shortest exposure first"),
         ({"camera": CAMERA | {"settings": {"distortion": [-0.35, 0, 0, 0]}}}, "shows nothing beyond 651 pixels"),
+        ({"camera": CAMERA | {"shift": KNOCK | {"after_s": 0.6}}}, "camera.shift.after_s 0.6 in a drive of 0.6 s; let the camera be shift"),
+        ({"camera": CAMERA | {"shift": KNOCK | {"after_s": 0}}}, "camera.shift.after_s: 0 is less than or equal to the minimum of 0"),
+        ({"camera": CAMERA | {"shift": {"xyz_m": [0, 0, 0], "rpy_deg": [0, 0, 0]}}}, "camera.shift: 'after_s' is a required property"),
     ],
 )
 def test_an_impossible_drive_is_refused(changes, message, tmp_path):
@@ -221,6 +226,46 @@ def filmed(tmp_path_factory):
     folder = tmp_path_factory.mktemp("filmed")
     facts = write_changed(folder / "f.yaml", n_frames=4, camera=CAMERA | {"settings": SMALL, "previews_per_s": 0})
     return run(folder, facts)
+
+
+@pytest.fixture(scope="module")
+def knocked(tmp_path_factory):
+    """The same drive, with a camera that was moved between the second and the third image."""
+    folder = tmp_path_factory.mktemp("knocked")
+    camera = CAMERA | {"settings": SMALL, "previews_per_s": 0, "shift": KNOCK}
+    return run(folder, write_changed(folder / "f.yaml", n_frames=4, camera=camera))
+
+
+def test_a_shift_is_told_as_the_camera_looked_before():
+    shift = drives.CameraShift(after_s=5.0, xyz_m=(0.5, 0.0, 0.1), rpy_deg=(0.0, 10.0, 90.0))
+    to_the_left = drives.CameraMount(xyz_m=(1.0, 2.0, 3.0), rpy_deg=(0.0, 0.0, 90.0), shift=shift)
+    before, after = (to_the_left.T_vehicle_camera_at(t) for t in (4.999, 5.0))
+    assert np.array_equal(before, to_the_left.T_vehicle_camera)
+    np.testing.assert_allclose(before[:3, 2:].T, [[0, 1, 0], [1, 2, 3]], atol=1e-12)
+    # Forward was to the vehicle's left; now it looks back, ten degrees downwards.
+    np.testing.assert_allclose(after[:3, 2:].T, [[-np.cos(np.radians(10)), 0, -np.sin(np.radians(10))], [1, 2.5, 3.1]], atol=1e-12)
+
+
+def test_truth_has_both_places_of_a_knocked_camera(filmed, knocked):
+    of_filmed, of_knocked = (yaml.safe_load((folder / "truth" / "truth.yaml").read_text()) for folder in (filmed, knocked))
+    place = of_knocked["extrinsics"]
+    shift = place.pop("shift")
+    assert of_knocked == of_filmed
+    assert shift["from_image_time_ns"] == round((yaml.safe_load(FACTS.read_text())["start_time_s"] + 0.21 + 0.004) * 1000) * 10**6
+    images, others = ([r for r in iterate_drive(f / "drive.mcap") if isinstance(r, CameraImage)] for f in (knocked, filmed))
+    assert [i.time_ns >= shift["from_image_time_ns"] for i in images] == [False, False, True]
+    # Until then the drive is the same to the last bit.
+    assert [a.data == b.data for a, b in zip(images, others, strict=True)] == [True, True, False]
+    _, stamps, T_map_camera = read_poses_csv(knocked / "truth" / "camera_poses.csv")
+    times_s, trajectory = read_tum(knocked / "truth" / "trajectory.tum")
+    T_map_lidar = geometry.interpolate_poses(stamps - 0.004, times_s, trajectory) @ np.array(of_knocked["mountings"]["T_vehicle_lidar"])
+    for image, lidar, camera in zip(images, T_map_lidar, T_map_camera, strict=True):
+        assert np.abs(geometry.invert(camera) @ lidar - extrinsics_at(place | {"shift": shift}, image.time_ns)).max() < 1e-4
+    moved = np.array(place["T_camera_lidar"]) @ geometry.invert(np.array(shift["T_camera_lidar"]))
+    # In the camera's axes, which are right, down and ahead.
+    assert moved[:3, 3] == pytest.approx([0.2, -0.1, 0.1])
+    assert np.degrees(geometry.rotation_angle(moved)) == pytest.approx(np.sqrt(1 + 4 + 9), abs=0.05)
+    assert "shift" not in yaml.safe_load((filmed / "truth" / "truth.yaml").read_text())["extrinsics"]
 
 
 def test_images_stand_in_windows_at_the_full_rate():
@@ -273,8 +318,10 @@ def test_images_masks_and_lidar_agree_through_the_true_extrinsics(filmed):
     assert decode_image(image).shape == (241, 321, 3)
 
 
-def test_an_image_shows_what_its_own_camera_pose_sees(filmed):
+@pytest.mark.parametrize("drive_of", ["filmed", "knocked"])
+def test_an_image_shows_what_its_own_camera_pose_sees(drive_of, request):
     """Pixel by pixel what the rays of the written pose meet at the moment the stamp stands for, neither 4 ms earlier nor later."""
+    filmed = request.getfixturevalue(drive_of)
     facts = read_drive_facts(filmed / "f.yaml", SCHEMA)
     recording = drives.SimulatedRecording(facts, "tiny", STREET, 1, filmed, filmed / "again", 1)
     _, stamps, T_map_camera = read_poses_csv(filmed / "truth" / "camera_poses.csv")
@@ -291,8 +338,10 @@ def test_an_image_shows_what_its_own_camera_pose_sees(filmed):
         assert (seen == np.where(hits.faces >= 0, recording._caster.instances[hits.faces], 0)).mean() > 0.998
 
 
-def test_the_page_lays_a_frame_on_its_image_as_it_was_at_that_moment(filmed):
+@pytest.mark.parametrize("drive_of", ["filmed", "knocked"])
+def test_the_page_lays_a_frame_on_its_image_as_it_was_at_that_moment(drive_of, request):
     """What stands still comes to where the image's own pose sees it; as fired it is as far off as the car drove in between."""
+    filmed = request.getfixturevalue(drive_of)
     inspection = inspect_drive(filmed / "drive.mcap", filmed / "frames.csv", filmed / "truth")
     _, stamps, T_map_camera = read_poses_csv(filmed / "truth" / "camera_poses.csv")
     assert inspection.image_times_s["camera"] == pytest.approx(stamps, abs=1e-6)
@@ -306,7 +355,7 @@ def test_the_page_lays_a_frame_on_its_image_as_it_was_at_that_moment(filmed):
         near = (expected[:, 2] > 2) & (np.linalg.norm(expected, axis=1) < 20)
         carried, is_carried = inspection.points_at_image(row, "camera")
         off_m = [
-            np.linalg.norm(geometry.apply(inspection.T_camera_lidar["camera"], p)[near] - expected[near], axis=1)
+            np.linalg.norm(geometry.apply(inspection.T_camera_lidar_at(row, "camera"), p)[near] - expected[near], axis=1)
             for p in (carried, frame.points)
         ]
         assert is_carried

@@ -62,6 +62,22 @@ def test_calibration_stands_in_both_tables_of_the_thesis(tmp_path):
     assert {"my_drive/slow", "my_drive/fast", "my_drive"} <= set(both[both.table == "calibration"].row)
 
 
+def test_only_drives_whose_camera_was_moved_stand_in_the_table_of_shifts(tmp_path):
+    columns, paths = ["set", "stage", "metric", "value", "unit", "n"], []
+    for drive, n_after in (("still", 0), ("moved", 4)):
+        paths.append(tmp_path / "evaluate_calibration" / drive / "scores.csv")
+        paths[-1].parent.mkdir(parents=True)
+        found = [("noticed_after", 1.0 if n_after else np.nan, "keyframes", n_after), ("rotation", 0.1, "deg", n_after)]
+        rows = [("", "shift", *row) for row in [*found, ("false_alarms", 0.0, "keyframes", 4)]]
+        pd.DataFrame([("slow", "objects", "n_points", 1.0, "", 1), *rows], columns=columns).to_csv(paths[-1])
+    rows = pd.DataFrame(calibration_scores([str(path) for path in paths]))
+    assert rows[["table", "row"]].drop_duplicates().to_numpy().tolist() == [["mount_shift", "moved"]]
+    assert rows["column"].tolist() == ["noticed_after", "rotation", "false_alarms"]
+    (table,) = make_tables(collect_scores([], {}, rows.to_dict("records")))
+    assert [c.heading for c in table.columns] == ["Noticed after [keyframes]", "Rotation [°]", "False alarms [keyframes]"]
+    assert [table.text(0, j) for j in range(3)] == ["1", "0.10", "0"]
+
+
 def test_drives_are_pooled_in_the_tables_of_the_thesis(tmp_path):
     paths = []
     for drive, value, n in (("a", 1.0, 3), ("b", 2.0, 1)):

@@ -1,0 +1,99 @@
+"""Keyframes and drives compared with the place the camera truly had, and how it was noticed that it was moved."""
+
+import math
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from streetscan.calibration.calibration_evaluation import (
+    COLUMNS,
+    TRANSFORM_COLUMNS,
+    score_transform,
+    summarize_errors,
+    times_of_images,
+)
+from streetscan.calibration.drive_calibration import KeyframeResult, follow_drive
+from streetscan.calibration.keyframes import Keyframe
+from streetscan.geometry import apply, transform
+
+T_BEFORE = np.array([[0.0, -1, 0, 0.1], [0, 0, -1, -0.2], [1, 0, 0, -0.4], [0, 0, 0, 1]])
+KNOCK = transform([0.03, 0, 0], (0, 0, np.radians(0.5)))
+STILL = {"T_camera_lidar": T_BEFORE.tolist(), "time_offset_s": 0.004}
+SHIFTED = STILL | {"shift": {"from_image_time_ns": 5000, "T_camera_lidar": (KNOCK @ T_BEFORE).tolist()}}
+
+
+def shift_scores(extrinsics: dict, statuses: list[str], is_shifted: list[bool], in_force: list[int]) -> pd.DataFrame:
+    """Scores of keyframes at 1000, 2000, ... ns; that of number k is off by k tenths of a degree and k centimetres."""
+    transforms = []
+    for k, status in enumerate(statuses):
+        time_ns = 1000 * (k + 1)
+        true = KNOCK @ T_BEFORE if "shift" in extrinsics and time_ns >= 5000 else T_BEFORE
+        T = true @ transform(rpy_rad=(0, 0, np.radians(0.1 * k)))
+        T[0, 3] += 0.01 * k
+        transforms.append(score_transform(f"{k:02d}", status, T.tolist() if status == "ok" else None, extrinsics, time_ns))
+    transforms.append(score_transform("drive", "ok", (KNOCK @ T_BEFORE).tolist(), extrinsics, offset_s=0.005))
+    history = pd.DataFrame({"is_shifted": is_shifted, "in_force": in_force})
+    errors = pd.DataFrame(columns=COLUMNS)
+    scores = summarize_errors(errors, pd.DataFrame(transforms, columns=TRANSFORM_COLUMNS), history)
+    return scores[scores["stage"].isin(["shift", "drive"])].set_index(["stage", "metric"])
+
+
+def test_a_shift_is_scored_by_the_keyframes_it_took():
+    alarms = [False, True, False, False, False, True, True]
+    scores = shift_scores(SHIFTED, ["ok"] * 4 + ["not_matched", "ok", "ok"], alarms, [0, 0, 2, 2, 2, 2, 6])
+    values = scores.loc["shift", "value"]
+    # Keyframe 4 is the first after the shift, and was refused.
+    assert (values["noticed_after"], values["recalibrated_after"], values["false_alarms"]) == (2, 3, 1)
+    assert (values["rotation"], values["translation"]) == pytest.approx((0.6, 0.06))
+    assert scores.loc["shift", "n"].to_dict() == {
+        "noticed_after": 3, "recalibrated_after": 3, "rotation": 3, "translation": 3, "false_alarms": 4,
+    }  # fmt: skip
+    # The drive is compared with the place at its end.
+    assert scores.loc[("drive", "rotation"), "value"] == pytest.approx(0, abs=1e-5)
+    assert scores.loc[("drive", "translation"), "value"] == pytest.approx(0, abs=1e-9)
+    assert scores.loc[("drive", "offset_error"), "value"] == pytest.approx(0.001)
+
+
+def test_a_shift_that_nobody_noticed_has_no_numbers():
+    values = shift_scores(SHIFTED, ["ok"] * 6, [False] * 6, [0] * 6).loc["shift", "value"]
+    assert values.drop("false_alarms").isna().all()
+    assert values["false_alarms"] == 0
+
+
+def test_a_calibration_that_was_refused_is_never_in_force():
+    values = shift_scores(SHIFTED, ["not_matched"] * 6, [False] * 6, [-1] * 6).loc["shift", "value"]
+    assert np.isnan(values["recalibrated_after"])
+
+
+def test_without_a_shift_every_alarm_is_false():
+    scores = shift_scores(STILL, ["ok"] * 6, [False, False, True, False, True, False], [0, 1, 1, 1, 4, 4])
+    assert scores.loc["shift", "value"].drop("false_alarms").isna().all()
+    assert scores.loc["shift", "n"].drop("false_alarms").eq(0).all()
+    assert scores.loc[("shift", "false_alarms"), ["value", "n"]].tolist() == [2, 6]
+    assert scores.loc[("drive", "rotation"), "value"] == pytest.approx(0.5)
+
+
+def test_a_drives_own_history_is_scored():
+    """Exact keyframes of a still lidar: the first after the knock is noticed, and replaces the calibration in force."""
+    rng, keyframes, transforms = np.random.default_rng(3), [], []
+    for k in range(6):
+        T, points, normals = (KNOCK if k >= 4 else np.eye(4)) @ T_BEFORE, rng.uniform(-20, 20, (300, 3)), rng.normal(size=(300, 3))
+        normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+        keyframes.append(KeyframeResult(k, "ok", T, None, np.c_[points, apply(T, points), normals]))
+        transforms.append(score_transform(f"{k:02d}", "ok", T.tolist(), SHIFTED, 1000 * (k + 1)))
+    errors, transforms = pd.DataFrame(columns=COLUMNS), pd.DataFrame(transforms, columns=TRANSFORM_COLUMNS)
+    values = summarize_errors(errors, transforms, follow_drive(keyframes)).set_index("metric")["value"]
+    assert values[["noticed_after", "recalibrated_after", "false_alarms"]].tolist() == [1, 1, 0]
+    assert values["rotation"] == pytest.approx(0, abs=1e-5)
+
+
+def test_a_place_without_images_counts_as_the_one_before_it():
+    places = [([100, 101], 102, 101), ([200, 201], 203, None), ([], -1, None), ([], 405, None), ([500], 500, 500)]
+    keyframes = [Keyframe(k, lidar_time_ns=lidar, image_times_ns=images) for k, (images, lidar, _) in enumerate(places)]
+    assert times_of_images(keyframes, [{"image_time_ns": found} for *_, found in places]) == [101, 200, 200, 405, 500]
+
+
+def test_the_end_of_a_drive_is_after_every_shift():
+    assert score_transform("drive", "ok", None, SHIFTED)["is_after_shift"]
+    assert not score_transform("drive", "ok", None, STILL, math.inf)["is_after_shift"]
