@@ -6,6 +6,7 @@ import numpy as np
 import pandas as pd
 import yaml
 
+from streetscan.calibration.projection import SELECTIONS
 from streetscan.calibration.reconstruction import Reconstruction
 from streetscan.calibration.sfm import HALF_PX, SparseModel
 from streetscan.classes import UNLABELLED, las_codes
@@ -73,6 +74,7 @@ def summarize(made: Reconstruction, keyframe: int, n_images: int) -> pd.DataFram
         "n_sparse": len(s.points) if s else 0, "n_sparse_dynamic": int((s.labels > 0).sum()) if s else 0,
         "sfm_error_px": float(s.errors_px.mean()) if s else nan,
         "projection_error_px": made.projection.mean_error_px if made.projection else nan,
+        **{f"{selection}_error_px": made.selection_errors_px.get(selection, nan) for selection in SELECTIONS},
         "n_dense": len(made.dense) if made.dense else 0, "n_dense_dynamic": int((made.dense.labels > 0).sum()) if made.dense else 0,
         "scale_std": made.scale.std / made.scale.value if made.scale else nan, "way_m": made.scale.way_m if made.scale else nan,
     }  # fmt: skip

@@ -6,7 +6,7 @@ Everything is given in the frame `camera` of the reference image, the one neares
 import logging
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 from zipfile import BadZipFile
@@ -14,7 +14,7 @@ from zipfile import BadZipFile
 import numpy as np
 
 from streetscan.calibration.densification import DenseCloud, DensificationSettings, densify
-from streetscan.calibration.projection import Projection, ProjectionSettings, estimate_projection
+from streetscan.calibration.projection import SELECTIONS, Projection, ProjectionSettings, estimate_projection
 from streetscan.calibration.scale import NoScale, Scale, ScaleSettings, estimate_scale
 from streetscan.calibration.sfm import ReconstructionFailed, SfmSettings, SparseModel, reconstruct
 from streetscan.errors import BadInput
@@ -58,6 +58,7 @@ class Reconstruction:
         sparse: cameras and points, frame `camera` of the reference image, metres (no unit for `no_scale`).
         dense: the fused cloud in the same frame.
         projection: T1.
+        selection_errors_px: mean error of T1 from points chosen by density (thesis) and spread over the image, for comparison.
         scale: metres per unit of structure from motion; None for `no_scale`.
         seconds: wall time of each stage.
     """
@@ -68,6 +69,7 @@ class Reconstruction:
     sparse: SparseModel | None = None
     dense: DenseCloud | None = None
     projection: Projection | None = None
+    selection_errors_px: dict[str, float] = field(default_factory=dict)
     scale: Scale | None = None
     seconds: dict[str, float] = field(default_factory=dict)
 
@@ -159,9 +161,16 @@ def _project(made: Reconstruction, model: SparseModel, camera: CameraModel, s: P
     """Find T1 and judge it."""
     rows = (model.image_of == made.reference) & (model.labels[model.point_of] == 0)
     try:
-        made.projection = estimate_projection(model.points[model.point_of[rows]], model.pixels[rows], camera.K, s)
+        found = {
+            selection: estimate_projection(
+                model.points[model.point_of[rows]], model.pixels[rows], camera.K, replace(s, selection=selection)
+            )
+            for selection in SELECTIONS
+        }
     except ValueError as error:
         raise ReconstructionFailed("no_reference", str(error)) from error
+    made.projection = found[s.selection]
+    made.selection_errors_px = {selection: projection.mean_error_px for selection, projection in found.items()}
     if not made.projection.mean_error_px < s.max_error_px:
         made.status = "inaccurate"
         made.reason = f"a mean reprojection error of {made.projection.mean_error_px:.2f} px of at most {s.max_error_px:g}"

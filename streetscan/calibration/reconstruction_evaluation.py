@@ -21,7 +21,8 @@ from streetscan.io.trajectories import read_poses_csv
 _N_COMPARED = 20_000
 # Metric to column of the keyframes' table, factor to its unit, and unit.
 _SCORES = {
-    "projection_error": ("projection_error_px", 1, "px"), "n_sparse": ("n_sparse", 1, ""), "n_dense": ("n_dense", 1, ""),
+    "projection_error": ("projection_error_px", 1, "px"), "density_error": ("density_error_px", 1, "px"),
+    "spread_error": ("spread_error_px", 1, "px"), "n_sparse": ("n_sparse", 1, ""), "n_dense": ("n_dense", 1, ""),
     "scale_error": ("scale_error", 100, "%"), "rotation_error": ("rotation_error_deg", 1, "deg"),
     "dense_error": ("dense_error", 100, "%"), "dense_shape_error": ("dense_shape_error", 100, "%"),
     "sfm_time": ("sfm_s", 1, "s"), "densification_time": ("densification_s", 1, "s"),
