@@ -33,6 +33,7 @@ STATUSES = {
     "not_registered": "no cameras can be found",
     "no_reference": "the image nearest to the lidar frame was not registered, or observes too few static points",
     "no_scale": "the lidar's motion does not tell the scale; the clouds have no unit",
+    "disagrees": "the cameras turned otherwise than the lidar",
     "inaccurate": "the points do not lie where the image shows them",
 }
 
@@ -72,6 +73,11 @@ class Reconstruction:
     selection_errors_px: dict[str, float] = field(default_factory=dict)
     scale: Scale | None = None
     seconds: dict[str, float] = field(default_factory=dict)
+
+    def refuse(self, status: str, reason: str) -> None:
+        """Something is the matter; what was found first stays the status, and every reason is kept."""
+        self.status = status if self.status == "ok" else self.status
+        self.reason = "; ".join(filter(None, (self.reason, reason)))
 
 
 def make_reconstruction_settings(values: Mapping[str, Any]) -> ReconstructionSettings:
@@ -120,7 +126,7 @@ def reconstruct_keyframe(
         timed("projection", _project, made, model, camera, settings.projection)
         made.dense = timed("densification", densify, images, camera.K, model, masks, settings.densification, seed, n_threads)
     except ReconstructionFailed as failure:
-        made.status, made.reason = failure.status, str(failure)
+        made.refuse(failure.status, str(failure))
     stages = ", ".join(f"{stage} {seconds:.1f} s" for stage, seconds in made.seconds.items())
     logger.info("%s%s; %s", made.status, f" ({made.reason})" if made.reason else "", stages)
     return made
@@ -150,8 +156,11 @@ def _make_metric(made: Reconstruction, model: SparseModel, times_s: np.ndarray, 
     try:
         made.scale = estimate_scale(model.T_camera_sfm, times_s, poses, s)
         factor = made.scale.value
+        if made.scale.turn_off_deg > s.max_turn_deg:
+            found = f"between two images the turns of cameras and lidar differ by {made.scale.turn_off_deg:.2f} deg"
+            made.refuse("disagrees", f"{found} of at most {s.max_turn_deg:g}")
     except NoScale as reason:
-        made.status, made.reason = "no_scale", str(reason)
+        made.refuse("no_scale", str(reason))
     T = model.T_camera_sfm[made.reference].copy()
     T[:3] *= factor
     return model.transformed(T)
@@ -172,5 +181,4 @@ def _project(made: Reconstruction, model: SparseModel, camera: CameraModel, s: P
     made.projection = found[s.selection]
     made.selection_errors_px = {selection: projection.mean_error_px for selection, projection in found.items()}
     if not made.projection.mean_error_px < s.max_error_px:
-        made.status = "inaccurate"
-        made.reason = f"a mean reprojection error of {made.projection.mean_error_px:.2f} px of at most {s.max_error_px:g}"
+        made.refuse("inaccurate", f"a mean reprojection error of {made.projection.mean_error_px:.2f} px of at most {s.max_error_px:g}")

@@ -23,6 +23,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from streetscan.geometry import invert, rotation_angle
 from streetscan.registration.odometry import FramePose
 
 _DEGREE = 3
@@ -39,6 +40,7 @@ class ScaleSettings:
         min_way_m: a shorter way of the lidar tells no scale.
         max_std: largest relative deviation of the scale that is accepted.
         max_misfit: largest difference of the ways' lengths (root mean square) that is accepted, as a share of the whole way.
+        max_turn_deg: cameras whose turn between two images differs by more from the lidar's are not believed, degrees.
     """
 
     margin_s: float = 0.5
@@ -47,6 +49,7 @@ class ScaleSettings:
     min_way_m: float = 0.5
     max_std: float = 0.05
     max_misfit: float = 0.02
+    max_turn_deg: float = 0.6
 
 
 @dataclass
@@ -59,6 +62,7 @@ class Scale:
         lever_m: (3,) place of the camera in the frame `lidar`, as far as turns show it.
         way_m: of the lidar from the first to the last image.
         misfit_m: root mean square by which the lengths of the ways between images differ, long ways before all.
+        turn_off_deg: largest difference of the angles by which cameras and lidar turned between two images.
     """
 
     value: float
@@ -66,6 +70,7 @@ class Scale:
     lever_m: np.ndarray
     way_m: float
     misfit_m: float = np.nan
+    turn_off_deg: float = np.nan
 
 
 class NoScale(Exception):
@@ -117,7 +122,10 @@ def estimate_scale(
     # One of the n - 1 is spent on the scale.
     chi_squared = (misfit_m / s.noise_m) ** 2 * (len(times) - 1) / max(len(times) - 2, 1)
     covariance = np.linalg.inv(normal)[0, 0] * max(1.0, chi_squared)
-    scale = Scale(float(solution[0]), float(np.sqrt(covariance)), solution[1:], way_m, float(misfit_m))
+    # Angles of turns are the same in any axes.
+    angles, own = rotation_angle(turns), rotation_angle(cameras[i] @ invert(cameras[j]))
+    turn_off_deg = float(np.degrees(np.abs(angles - own).max()))
+    scale = Scale(float(solution[0]), float(np.sqrt(covariance)), solution[1:], way_m, float(misfit_m), turn_off_deg)
     if misfit_m > s.max_misfit * way_m:
         raise NoScale(f"ways of the cameras and of the lidar differ by {100 * misfit_m / way_m:.1f} % of the whole way")
     if not scale.value > 0 or scale.std > s.max_std * scale.value:

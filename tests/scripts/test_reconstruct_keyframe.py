@@ -9,6 +9,7 @@ from toy_camera import lidar_poses, write_camera_drive
 
 from scripts import choose_keyframes, reconstruct_keyframe
 from streetscan.errors import BadInput
+from streetscan.geometry import transform
 from streetscan.io.las import read_las
 from streetscan.io.tables import save_tables
 from streetscan.registration.pose_tables import tabulate_poses
@@ -116,6 +117,29 @@ def test_without_poses_of_the_lidar_there_is_no_unit(files, tmp_path):
     assert summary.status == "no_scale"
     assert np.isnan(summary.way_m)
     assert "no unit" in yaml.safe_load((tmp_path / "model" / "cameras.yaml").read_text())["frame"]
+
+
+def test_cameras_that_turn_otherwise_than_the_lidar_are_refused(files, tmp_path):
+    poses = lidar_poses(N_IMAGES)
+    for pose in poses:
+        yaw = 0.2 * (pose.time_s - poses[0].time_s)
+        pose.T_segment_lidar[:3, :3] = transform([0, 0, 0], [0, 0, yaw])[:3, :3]
+    save_tables({files / "turning.csv": tabulate_poses(poses)})
+    light = SETTINGS | {"densification": SETTINGS["densification"] | {"step_px": 16}}
+    summary = run(files, tmp_path, poses="turning.csv", masks=False, settings=light)
+    assert summary.status == "disagrees"
+    assert "turns of cameras and lidar differ" in summary.reason
+    assert summary.turn_off_deg == pytest.approx(np.degrees(0.2 * 0.4), abs=2)
+    assert summary.n_dense > 0
+
+
+def test_every_reason_is_kept(files, tmp_path):
+    save_tables({files / "lost.csv": tabulate_poses([])})
+    light = SETTINGS | {"densification": SETTINGS["densification"] | {"step_px": 16}, "projection": {"max_error_px": 0.01}}
+    summary = run(files, tmp_path, poses="lost.csv", masks=False, settings=light)
+    assert summary.status == "no_scale"
+    assert "0 frames of the lidar" in summary.reason
+    assert "reprojection error" in summary.reason
 
 
 def test_missing_masks_are_one_sentence(files, tmp_path):

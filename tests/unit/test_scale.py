@@ -83,6 +83,15 @@ def test_ways_of_another_shape_tell_no_scale():
                 estimate_scale(shaken(noise_m, seed), times, poses)
 
 
+def test_turns_of_cameras_are_compared_with_the_lidars():
+    """Angles need no extrinsics. Intrinsics 20 % too long would have the cameras turn by as much too little."""
+    cameras, times, poses = drive(turn_radps=0.3)
+    assert estimate_scale(cameras, times, poses).turn_off_deg < 1e-3
+    lazy = invert(cameras)
+    lazy[:, :3, :3] = [lazy[0, :3, :3] @ transform([0, 0, 0], [0, -0.8 * 0.3 * (t - times[0]), 0])[:3, :3] for t in times]
+    assert estimate_scale(invert(lazy), times, poses).turn_off_deg == pytest.approx(np.degrees(0.2 * 0.3 * 7 / 28), rel=1e-3)
+
+
 def test_long_ways_tell_the_scale():
     """An error of the cameras' places as long as a step of the vehicle: least squares alone would make the scale 4 % too small."""
     _, times, poses = drive()
