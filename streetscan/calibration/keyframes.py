@@ -42,6 +42,7 @@ STATUSES = {
     "ok": "images, lidar frame and columns are there",
     "no_images": "the place has fewer images in a row than a keyframe needs",
     "no_motion": "the vehicle hardly moves",
+    "bad_intrinsics": "no intrinsics of the camera, or such as cannot be used",
     "bad_images": "images cannot be decoded, or differ in size from the intrinsics",
     "saturated": "the images are blown out or black",
     "no_lidar": "no lidar frame close enough in time",
@@ -133,11 +134,15 @@ def choose_keyframes(drive_path: str | Path, n_keyframes: int, settings: Keyfram
     Returns:
         exactly `n_keyframes`, each with its status.
     Raises:
-        BadInput: the drive has no usable intrinsics, or is damaged.
+        BadInput: the drive is damaged.
     """
-    camera = check_camera(read_camera_model(drive_path), drive_path)
     image_times = np.array([image.time_ns for image in iterate_images(drive_path)], np.int64)
     lidar_times = np.array([frame.time_ns for frame in iterate_lidar(drive_path)], np.int64)
+    try:
+        camera = read_camera(drive_path)
+    except BadInput as error:
+        logger.info("all keyframes: bad_intrinsics (%s)", error)
+        return [Keyframe(index, "bad_intrinsics", str(error)) for index in range(n_keyframes)]
     starts = _first_images(image_times, settings)
     keyframes = []
     for index, place in enumerate(np.array_split(starts, n_keyframes)):
@@ -155,11 +160,26 @@ def choose_keyframes(drive_path: str | Path, n_keyframes: int, settings: Keyfram
     return keyframes
 
 
+def read_camera(drive_path: str | Path) -> CameraModel:
+    """The intrinsics of a drive, sure to be usable. BadInput as in `rectify_image`."""
+    return check_camera(read_camera_model(drive_path), drive_path)
+
+
+def find_camera(drive_path: str | Path) -> CameraModel | None:
+    """The intrinsics of a drive; None where they cannot be used, which its keyframes say (`bad_intrinsics`)."""
+    try:
+        return read_camera(drive_path)
+    except BadInput:
+        return None
+
+
 def read_keyframe_images(drive_path: str | Path, keyframe: Keyframe) -> list[np.ndarray]:
     """The rectified images (H, W, 3) uint8 RGB of a keyframe, in its order. BadInput as in `rectify_image` and `decode_image`."""
-    camera = check_camera(read_camera_model(drive_path), drive_path)
     wanted = keyframe.image_times_ns
-    images = {i.time_ns: i for i in iterate_images(drive_path, wanted[0], wanted[-1] + 1) if i.time_ns in set(wanted)} if wanted else {}
+    if not wanted:
+        return []
+    camera = read_camera(drive_path)
+    images = {i.time_ns: i for i in iterate_images(drive_path, wanted[0], wanted[-1] + 1) if i.time_ns in set(wanted)}
     if len(images) < len(wanted):
         raise BadInput(
             drive_path, f"holds {len(images)} of the {len(wanted)} images of keyframe {keyframe.index}", "run choose_keyframes again"

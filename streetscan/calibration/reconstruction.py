@@ -9,17 +9,16 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
-from zipfile import BadZipFile
 
 import numpy as np
 
 from streetscan.calibration.densification import DenseCloud, DensificationSettings, densify
+from streetscan.calibration.dynamic_objects import DynamicPixels
+from streetscan.calibration.keyframes import Keyframe
 from streetscan.calibration.projection import SELECTIONS, Projection, ProjectionSettings, estimate_projection
 from streetscan.calibration.scale import NoScale, Scale, ScaleSettings, estimate_scale
 from streetscan.calibration.sfm import ReconstructionFailed, SfmSettings, SparseModel, reconstruct
-from streetscan.errors import BadInput
 from streetscan.frames import CameraModel
-from streetscan.io.files import find_file
 from streetscan.localization.settings import build
 from streetscan.registration.odometry import FramePose
 
@@ -28,6 +27,7 @@ logger = logging.getLogger(__name__)
 # What can be the matter with a reconstruction, beside the statuses of keyframes.
 STATUSES = {
     "ok": "accepted",
+    "bad_detector": "the detectors of moving things cannot be used",
     "bad_images": "fewer than three images, or of different sizes",
     "not_matched": "the images have nothing in common",
     "not_registered": "no cameras can be found",
@@ -132,6 +132,21 @@ def reconstruct_keyframe(
     return made
 
 
+def begin(keyframe: Keyframe, masks_folder: str | Path | None) -> Reconstruction:
+    """Nothing made yet of a keyframe; the status says whether there is anything to make it of.
+
+    Args:
+        keyframe: of choose_keyframes.
+        masks_folder: of detect_dynamic; None marks nothing.
+    """
+    made = Reconstruction(keyframe.status, keyframe.reason)
+    if made.status == "ok" and masks_folder is not None:
+        problem = DynamicPixels.load(Path(masks_folder) / f"{keyframe.index:02d}.npz").problem
+        if problem:
+            made.refuse("bad_detector", problem)
+    return made
+
+
 def read_masks(folder: str | Path | None, keyframe: int) -> np.ndarray | None:
     """Classes (n, H, W) uint8 of moving things on a keyframe's images, 0 for none, as detect_dynamic wrote them; None without a folder.
 
@@ -140,12 +155,7 @@ def read_masks(folder: str | Path | None, keyframe: int) -> np.ndarray | None:
     """
     if folder is None:
         return None
-    path = find_file(Path(folder) / f"{keyframe:02d}.npz")
-    try:
-        with np.load(path) as stored:
-            return stored["classes"]
-    except (OSError, ValueError, KeyError, BadZipFile) as error:
-        raise BadInput(path, f"holds no masks ({error})", "run detect_dynamic again") from error
+    return DynamicPixels.load(Path(folder) / f"{keyframe:02d}.npz").classes
 
 
 def _make_metric(made: Reconstruction, model: SparseModel, times_s: np.ndarray, poses: list[FramePose], s: ScaleSettings) -> SparseModel:

@@ -8,6 +8,7 @@ import yaml
 from toy_camera import lidar_poses, write_camera_drive
 
 from scripts import choose_keyframes, reconstruct_keyframe
+from streetscan.calibration.dynamic_objects import DynamicPixels
 from streetscan.errors import BadInput
 from streetscan.geometry import transform
 from streetscan.io.las import read_las
@@ -32,7 +33,7 @@ def files(tmp_path_factory):
     (folder / "masks").mkdir()
     masks = np.zeros((N_IMAGES, 300, 400), np.uint8)
     masks[:, :, :130] = 5
-    np.savez(folder / "masks" / "00.npz", classes=masks)
+    DynamicPixels(masks, masks.astype(np.uint16), np.zeros(5, np.float32)).save(folder / "masks" / "00.npz")
     return folder
 
 
@@ -140,6 +141,18 @@ def test_every_reason_is_kept(files, tmp_path):
     assert summary.status == "no_scale"
     assert "0 frames of the lidar" in summary.reason
     assert "reprojection error" in summary.reason
+
+
+def test_detectors_that_could_not_be_used_are_a_status(files, tmp_path):
+    (tmp_path / "masks").mkdir()
+    DynamicPixels.nothing("weights of another network").save(tmp_path / "masks" / "00.npz")
+    reconstruct_keyframe.main(
+        files / "drive.mcap", files / "keyframes.csv", files / "poses.csv", tmp_path / "masks", tmp_path / "model",
+        tmp_path / "summary.csv", 0, SETTINGS, 1, 1,
+    )  # fmt: skip
+    summary = pd.read_csv(tmp_path / "summary.csv").iloc[0]
+    assert (summary.status, summary.reason, summary.n_images) == ("bad_detector", "weights of another network", N_IMAGES)
+    assert list((tmp_path / "model").iterdir()) == []
 
 
 def test_missing_masks_are_one_sentence(files, tmp_path):

@@ -1,5 +1,7 @@
 """Keyframes of tiny drives: what is chosen, and what is said where nothing can be."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from street_frames import SENSOR_HEIGHT_M, pose, scan
@@ -11,6 +13,7 @@ from streetscan.calibration.keyframes import (
     KeyframeSettings,
     choose_keyframes,
     count_columns,
+    find_camera,
     measure_movement,
     read_keyframe_images,
     read_keyframe_lidar,
@@ -111,9 +114,20 @@ def test_gaps_part_images(toy_street, lidar_frames, tmp_path):
     assert found[0].images == [0, 1, 2]
 
 
-def test_unusable_intrinsics_stop_the_step(toy_street, lidar_frames, tmp_path):
-    with pytest.raises(BadInput, match="no intrinsics"):
-        choose_keyframes(write(tmp_path / "drive.mcap", moving(toy_street), lidar_frames, None), 1)
+def test_unusable_intrinsics_are_a_status(toy_street, lidar_frames, tmp_path):
+    """A row for every place, and the drive goes on; a damaged drive stops."""
+    flat = replace(CAMERA, K=np.diag([0.0, 0.0, 1.0]))
+    odd = replace(CAMERA, distortion_model="mirror", D=np.ones(4))
+    for name, camera, reason in (("none", None, "no intrinsics"), ("flat", flat, "no camera matrix"), ("odd", odd, "'mirror'")):
+        path = write(tmp_path / f"{name}.mcap", moving(toy_street), lidar_frames, camera)
+        found = choose_keyframes(path, 2, FEW)
+        assert [k.status for k in found] == ["bad_intrinsics"] * 2
+        assert all(reason in k.reason for k in found)
+        assert read_keyframe_images(path, found[0]) == []
+        assert find_camera(path) is None
+    (tmp_path / "cut.mcap").write_bytes(path.read_bytes()[:2000])
+    with pytest.raises(BadInput, match="not a whole MCAP file"):
+        choose_keyframes(tmp_path / "cut.mcap", 2, FEW)
 
 
 def test_movement_and_saturation_by_hand(toy_street):
