@@ -34,6 +34,7 @@ STATUSES = {
     "no_reference": "the image nearest to the lidar frame was not registered, or observes too few static points",
     "no_scale": "the lidar's motion does not tell the scale; the clouds have no unit",
     "disagrees": "the cameras turned otherwise than the lidar",
+    "not_dense": "too few images see enough static points to begin from",
     "inaccurate": "the points do not lie where the image shows them",
 }
 
