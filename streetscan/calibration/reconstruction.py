@@ -60,7 +60,7 @@ class Reconstruction:
         sparse: cameras and points, frame `camera` of the reference image, metres (no unit for `no_scale`).
         dense: the fused cloud in the same frame.
         projection: T1.
-        selection_errors_px: mean error of T1 from points chosen by density (thesis) and spread over the image, for comparison.
+        selection_errors_px: mean error of T1 from points chosen in each way of `projection.SELECTIONS`, for comparison.
         scale: metres per unit of structure from motion; None for `no_scale`.
         seconds: wall time of each stage.
     """
