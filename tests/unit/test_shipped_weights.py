@@ -38,7 +38,7 @@ def test_a_simulated_street_is_recognised(network):
     points = np.concatenate([record.cloud.points for record in records])
     truth = np.concatenate([record.labels for record in records])
     grid = add_heights(voxelize([points], 0.1), cell_m=0.5, max_object_m=20.0, max_slope=0.15, step_m=0.2, min_patch_m2=4.0)
-    _, labels, confidence = label_voxels(network, grid, 40.0)
+    _, labels, confidence = label_voxels(network, grid, 40.0)[:3]
     of_points = labels[grid.find(grid.keys_of(points))]
     for label in (GROUND, FACADE):
         assert (of_points[truth == label] == label).mean() > 0.6
