@@ -119,7 +119,7 @@ def _make_map(read, poses: Mapping[int, FramePose]) -> Reference:
         grid = add_heights(grid, **settings["voxelize_map"]["ground"])
         means = mean_points(grid, (c.points for p in paths for c in iterate_las(p)))
     network = load_network(ROOT / "weights" / "c2cnn" / "weights.safetensors", ROOT / "weights" / "c2cnn" / "settings.yaml")
-    rows, predicted, _ = label_voxels(network, grid, settings["label_map"]["tile_m"])
+    rows, predicted, _ = label_voxels(network, grid, settings["label_map"]["tile_m"])[:3]
     labels = np.zeros(len(grid), np.uint8)
     labels[rows] = predicted
     return make_reference(grid, means, labels, cluster_landmarks(means, grid.height_m, labels), None)

@@ -261,6 +261,11 @@ def schedule_of(wildcards):
     return config["train_segmenter"]["schedule"] | {"seed": config["seed"]} | config["models"][wildcards.model]["schedule"]
 
 
+def smoothing_of(wildcards):
+    """`label_map.smoothing` for a model whose labels are smoothed, else None."""
+    return config["label_map"]["smoothing"] if config["models"].get(wildcards.model, {}).get("is_smoothed") else None
+
+
 def structure_of(wildcards):
     """`train_segmenter.network` with what the model changes in it and its channels, or what a baseline looks at."""
     if wildcards.model in BASELINES:

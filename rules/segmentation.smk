@@ -164,7 +164,9 @@ rule label_map:
     resources:
         mem_mb=3000,
     params:
-        **config["label_map"],
+        tile_m=config["label_map"]["tile_m"],
+        n_turns=config["label_map"]["n_turns"],
+        smoothing=smoothing_of,
         tiles=lambda w: w.tiles,
         expected=structure_of,
         n_threads=config["n_threads"],

@@ -28,7 +28,7 @@ def main(
         facts: of Table 1.2, by data set. realism: `simulated` data sets; `compared`, `not_compared`; `static_scans`: mobile data set.
     """
     files = zip(inputs["evaluations"], inputs["confusions"], map(tuple, evaluated), strict=True)
-    evaluations = [scores.read_evaluation(*paths, *pair, config["seed"]) for *paths, pair in files]
+    evaluations = [e for *paths, pair in files for e in scores.read_evaluations(*paths, *pair, config["seed"])]
     histories = {tuple(pair): pd.read_csv(path) for pair, path in zip(trained, inputs["histories"], strict=True)}
     views = {tuple(pair): Path(folder) for pair, folder in zip(viewed, inputs["views"], strict=True)}
     drives = registrations.read_registrations(inputs["registrations"], inputs["trajectories"], registered)

@@ -239,18 +239,17 @@ def draw_sections(
         the sections; a data set without truth or training has those parts left out and says so.
     """
     folder = Path(folder)
-    evaluated = {(e.dataset, e.method): e for e in evaluations}
+    evaluated: dict[tuple[str, str], list[Evaluation]] = {}
+    for e in evaluations:
+        evaluated.setdefault((e.dataset, e.model), []).append(e)
     pairs = list(dict.fromkeys([*evaluated, *views, *histories]))
     sections = _parameter_section(folder, scores)
     for dataset in dict.fromkeys(d for d, _ in pairs):
-        parts = [
-            _part(folder, dataset, method, evaluated.get((dataset, method)), histories.get((dataset, method)), views.get((dataset, method)))
-            for d, method in pairs
-            if d == dataset
-        ]
+        own = [pair for pair in pairs if pair[0] == dataset]
+        parts = [_part(folder, *pair, evaluated.get(pair, []), histories.get(pair), views.get(pair)) for pair in own]
         bars = _bars(folder, scores, dataset)
         text = "" if bars else "This map has no truth: its labels can be looked at, not scored."
-        scans = next((_scan_galleries(Path(views[pair]), dataset) for pair in pairs if pair[0] == dataset and pair in views), [])
+        scans = next((_scan_galleries(Path(views[pair]), dataset) for pair in own if pair in views), [])
         sections.append(Section(f"map-{dataset}", f"Map {dataset}", text, bars, parts, scans))
     return sections
 
@@ -361,7 +360,9 @@ def _bars(folder: Path, scores: pd.DataFrame, dataset: str) -> list[Picture]:
     return [save_picture(figure, folder, f"f_{dataset}", caption)]
 
 
-def _part(folder: Path, dataset: str, method: str, evaluation: Evaluation | None, history: pd.DataFrame | None, views: Path | None) -> Part:
+def _part(
+    folder: Path, dataset: str, method: str, evaluations: Sequence[Evaluation], history: pd.DataFrame | None, views: Path | None
+) -> Part:
     anchor, who = f"map-{dataset}-{method}", f"{title(method)} on {dataset}"
     galleries, pictures, text = [], [], []
     if views is not None:
@@ -373,12 +374,12 @@ def _part(folder: Path, dataset: str, method: str, evaluation: Evaluation | None
         pictures.append(save_picture(draw.training_curve(history), folder, f"training_{dataset}_{method}", caption))
     else:
         text.append("Not trained on this map: its network came with the weights given.")
-    if evaluation is not None:
-        n = format_number(evaluation.confusion.sum())
-        caption = f"Confusion of {who} over all {n} labelled voxels: per cent of the true class, and voxels."
-        figure = draw.confusion_matrix(evaluation.confusion, [c.title for c in CLASSES])
-        pictures.append(save_picture(figure, folder, f"confusion_{dataset}_{method}", caption))
-    else:
+    for e in evaluations:
+        n = format_number(e.confusion.sum())
+        caption = f"Confusion of {title(e.method)} on {dataset} over all {n} labelled voxels: per cent of the true class, and voxels."
+        figure = draw.confusion_matrix(e.confusion, [c.title for c in CLASSES])
+        pictures.append(save_picture(figure, folder, f"confusion_{dataset}_{e.method}", caption))
+    if not evaluations:
         text.append("No truth, so no confusion matrix.")
     if views is not None:
         captions = {

@@ -28,6 +28,8 @@ _NUMBERS = ("spread", "n")
 _OVERALL = {"objects": "overall", "objects_weighted": "overall_weighted"}
 _OVERALL_ALL = _OVERALL | {"overall": "all_classes", "overall_weighted": "all_classes_weighted"}
 _GROUP, _CLEANING = "group:", "cleaning:"
+# Ends the name of a method whose labels were smoothed afterwards; the thesis' are not.
+_SMOOTHED = "_smoothed"
 # The thesis' C²CNN of Table 2.4 is pre-trained elsewhere and fine-tuned on Oakland (2.5.3); so is this model of ours.
 _NAGY_2_4_COLUMNS = {"c2cnn_from_city": "c2cnn_finetuned"}
 
@@ -37,7 +39,7 @@ class Evaluation:
     """What evaluate_labels found for one model on one data set.
 
     Attributes:
-        dataset, method, seed: whose.
+        dataset, method, seed: whose; `<model>_smoothed` where the labels are those of a smoothed map.
         scores: `protocol` (even or natural), `class`, `metric`, `value`, `unit` (percent), `n`.
         confusion: (9, 9) int64 over all labelled voxels, rows true, columns predicted.
     """
@@ -47,6 +49,11 @@ class Evaluation:
     seed: int
     scores: pd.DataFrame
     confusion: np.ndarray
+
+    @property
+    def model(self) -> str:
+        """Who labelled the map."""
+        return self.method.removesuffix(_SMOOTHED)
 
 
 def make_score(
@@ -224,22 +231,27 @@ def read_scores(path: str | Path) -> pd.DataFrame:
     return scores
 
 
-def read_evaluation(scores_path: str | Path, confusion_path: str | Path, dataset: str, method: str, seed: int) -> Evaluation:
-    """What evaluate_labels wrote for one model on one data set.
+def read_evaluations(scores_path: str | Path, confusion_path: str | Path, dataset: str, model: str, seed: int) -> list[Evaluation]:
+    """What evaluate_labels wrote for one model on one data set: of its map and, where that is smoothed, first of each voxel alone.
 
     Raises:
         BadInput: a file is missing, lacks a column, is in another unit or names other classes.
     """
-    scores = _read_csv(scores_path, ("protocol", "class", "metric", "value", "unit", "n"), "evaluate_labels")
+    scores = _read_csv(scores_path, ("labels", "protocol", "class", "metric", "value", "unit", "n"), "evaluate_labels")
     for name in ("value", "n"):
         scores[name] = pd.to_numeric(scores[name])
-    return Evaluation(dataset, method, seed, scores, read_confusion(confusion_path))
+    is_smoothed = "alone" in set(scores["labels"])
+    methods = {"alone": model, "map": model + _SMOOTHED} if is_smoothed else {"map": model}
+    return [
+        Evaluation(dataset, method, seed, scores[scores["labels"] == labels], read_confusion(confusion_path, labels))
+        for labels, method in methods.items()
+    ]
 
 
-def read_confusion(path: str | Path) -> np.ndarray:
+def read_confusion(path: str | Path, labels: str = "map") -> np.ndarray:
     """The confusion matrix over all labelled voxels, (9, 9) int64, rows true, out of evaluate_labels' tidy table."""
-    content = _read_csv(path, ("protocol", "truth", "predicted", "n"), "evaluate_labels")
-    content = content[content["protocol"] == "natural"]
+    content = _read_csv(path, ("labels", "protocol", "truth", "predicted", "n"), "evaluate_labels")
+    content = content[(content["protocol"] == "natural") & (content["labels"] == labels)]
     if unknown := sorted((set(content["truth"]) | set(content["predicted"])) - set(NAMES)):
         raise BadInput(path, f"names '{unknown[0]}', which is no class", "delete it and run evaluate_labels again")
     counts = np.zeros((N_CLASSES, N_CLASSES), np.int64)

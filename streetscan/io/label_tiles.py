@@ -1,6 +1,6 @@
 """The label map's parts, `voxels_{tiles}.npz`: rows of the voxel grid with their predicted labels and confidences."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -10,9 +10,23 @@ from streetscan.errors import BadInput
 from streetscan.io.arrays import load_npz, save_npz
 
 
-def write_label_tile(path: str | Path, rows: np.ndarray, labels: np.ndarray, confidence: np.ndarray) -> None:
-    """Write one part: (v,) rows of the voxel grid, (v,) labels 0..8, (v,) confidences 0..1."""
-    save_npz(path, rows=rows.astype(np.int64), labels=labels.astype(np.uint8), confidence=confidence.astype(np.float32))
+def write_label_tile(
+    path: str | Path, rows: np.ndarray, labels: np.ndarray, confidence: np.ndarray, alone: np.ndarray | None = None
+) -> None:
+    """Write one part: (v,) rows of the voxel grid, labels 0..8, confidences 0..1; the labels before smoothing if there was any."""
+    columns = {"rows": rows.astype(np.int64), "labels": labels.astype(np.uint8), "confidence": confidence.astype(np.float32)}
+    save_npz(path, **columns, **({} if alone is None else {"alone": alone.astype(np.uint8)}))
+
+
+def read_labels_alone(paths: Sequence[str | Path], n_voxels: int) -> np.ndarray | None:
+    """Labels (V,) uint8 of each voxel by itself, before smoothing, of files `read_label_tiles` took; None where labels are not smoothed."""
+    labels = np.full(n_voxels, UNLABELLED, np.uint8)
+    for path in paths:
+        with np.load(path) as part:
+            if "alone" not in part:
+                return None
+            labels[part["rows"]] = part["alone"]
+    return labels
 
 
 def read_label_tiles(paths: Iterable[str | Path], n_voxels: int) -> tuple[np.ndarray, np.ndarray]:

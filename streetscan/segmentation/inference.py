@@ -9,13 +9,16 @@ Source: Nagy (2020), 2.4.2 (sliding volume, N-024), 2.5.5 (N-047, N-049).
 import logging
 import re
 from collections.abc import Iterable, Iterator
+from typing import NamedTuple
 
 import numpy as np
 import torch
 
+from streetscan.classes import N_CLASSES
 from streetscan.clouds import PointCloud
 from streetscan.errors import BadInput
 from streetscan.segmentation.c2cnn import C2CNN, grid_channels, turn_keys
+from streetscan.segmentation.smoothing import NO_SMOOTHING, Smoothing, smooth_shares
 from streetscan.segmentation.sparse import open_workers, sparse_logits
 from streetscan.voxels import VoxelGrid
 
@@ -23,6 +26,22 @@ logger = logging.getLogger(__name__)
 
 # Voxels evaluated together: bounds the memory (about 20 KB a voxel where voxels lie loosely, as in a tree).
 _MAX_WANTED = 32_768
+
+
+class VoxelLabels(NamedTuple):
+    """Labels of some voxels of a grid.
+
+    Attributes:
+        rows: (v,) int64 into the grid, increasing.
+        labels: (v,) uint8 in 0..8.
+        confidence: (v,) float32, the share of the label.
+        alone: (v,) uint8 what each voxel is by its own surroundings alone, where labels are smoothed; None where they are not.
+    """
+
+    rows: np.ndarray
+    labels: np.ndarray
+    confidence: np.ndarray
+    alone: np.ndarray | None = None
 
 
 def parse_tiles(tiles: str) -> tuple[int, int]:
@@ -57,8 +76,9 @@ def assign_tiles(grid: VoxelGrid, tile_m: float, n_groups: int) -> tuple[np.ndar
 
 
 def label_voxels(
-    network: C2CNN, grid: VoxelGrid, tile_m: float, group: int = 0, n_groups: int = 1, n_threads: int = 1, n_turns: int = 1
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    network: C2CNN, grid: VoxelGrid, tile_m: float, group: int = 0, n_groups: int = 1, n_threads: int = 1, n_turns: int = 1,
+    smoothing: Smoothing = NO_SMOOTHING,
+) -> VoxelLabels:  # fmt: skip
     """Labels of the occupied voxels of one group of tiles.
 
     Args:
@@ -69,8 +89,7 @@ def label_voxels(
         n_threads: threads, a tile each; the result does not depend on it.
         n_turns: quarter turns (1, 2 or 4) in which every voxel's surroundings are looked at, for as many times the work; its shares are the
             mean. ASSUME: a street has no preferred direction, as the turned samples of training say (N-021).
-    Returns:
-        rows (v,) int64 into the grid, increasing; labels (v,) uint8; confidence (v,) float32, the softmax of the label.
+        smoothing: how far shares spread over the surface; voxels of other groups that they reach are evaluated, too.
     Raises:
         BadInput: voxels of another size than the network was trained on, or a height is unknown.
     """
@@ -82,25 +101,37 @@ def label_voxels(
         )
     channels = grid_channels(grid, settings)
     tile, group_of_tile = assign_tiles(grid, tile_m, n_groups)
-    by_tile = np.argsort(tile, kind="stable")
-    bounds = np.append(0, np.cumsum(np.bincount(tile)))
-    labels, confidence = np.zeros(len(grid), np.uint8), np.zeros(len(grid), np.float32)
-    tiles = np.flatnonzero(group_of_tile == group)
+    is_own = group_of_tile[tile] == group
+    looked_at = np.flatnonzero(is_own | _is_near(grid, tile, np.flatnonzero(group_of_tile == group), smoothing.reach_voxels))
+    by_tile = looked_at[np.argsort(tile[looked_at], kind="stable")]
+    bounds = np.append(0, np.cumsum(np.bincount(tile[looked_at], minlength=len(group_of_tile))))
+    shares = np.zeros((len(looked_at), N_CLASSES), np.float32)
 
-    def label_tile(i):
+    def look_at_tile(i):
         rows = by_tile[bounds[i] : bounds[i + 1]]
         nearby = _rows_near(grid, rows, settings.radius)
         for part in _split(grid.keys, rows):
-            shares = _class_shares(network, channels[nearby], grid.keys[nearby], grid.keys[part], n_turns)
-            labels[part] = shares.argmax(axis=1)
-            confidence[part] = shares.max(axis=1)
+            found = _class_shares(network, channels[nearby], grid.keys[nearby], grid.keys[part], n_turns)
+            shares[np.searchsorted(looked_at, part)] = found
 
     with open_workers(n_threads) as workers:
         # The list passes on a tile's error.
-        list(workers.map(label_tile, tiles))
-    rows = np.flatnonzero(np.isin(tile, tiles))
-    logger.info("%d voxels in %d tiles labelled", len(rows), len(tiles))
-    return rows, labels[rows], confidence[rows]
+        list(workers.map(look_at_tile, np.flatnonzero(np.diff(bounds))))
+    own = is_own[looked_at]
+    alone = shares[own].argmax(axis=1).astype(np.uint8)
+    smoothed = smooth_shares(grid.keys[looked_at], shares, smoothing)[own]
+    rows, labels = looked_at[own], smoothed.argmax(axis=1).astype(np.uint8)
+    logger.info("%d voxels in %d tiles labelled", len(rows), np.count_nonzero(group_of_tile == group))
+    return VoxelLabels(rows, labels, smoothed.max(axis=1), alone if smoothing.n_rounds else None)
+
+
+def _is_near(grid: VoxelGrid, tile: np.ndarray, tiles: np.ndarray, reach: int) -> np.ndarray:
+    """(V,) bool: voxels at most `reach` beyond the bounding box of one of some tiles' voxels."""
+    is_near = np.zeros(len(grid), bool)
+    if reach and len(tiles) < tile.max(initial=-1) + 1:
+        for i in tiles:
+            is_near[_rows_near(grid, np.flatnonzero(tile == i), reach)] = True
+    return is_near
 
 
 def _class_shares(network: C2CNN, channels: np.ndarray, keys: np.ndarray, wanted: np.ndarray, n_turns: int) -> np.ndarray:
@@ -139,7 +170,7 @@ def label_points(
     Args:
         clouds: the map in pieces.
         grid: its voxels.
-        rows, labels, confidence: what `label_voxels` returns.
+        rows, labels, confidence: of `label_voxels`.
     Yields:
         clouds without the points of other voxels; an empty cloud is left out unless it is the only one.
     Raises:

@@ -4,16 +4,15 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 
-import numpy as np
-
 from streetscan.segmentation.baselines.boosted_trees import TreeSettings, check_same_trees, load_trees
 from streetscan.segmentation.c2cnn import Settings, check_same_settings, load_network
-from streetscan.segmentation.inference import label_voxels
+from streetscan.segmentation.inference import VoxelLabels, label_voxels
+from streetscan.segmentation.smoothing import NO_SMOOTHING, Smoothing
 
-Labels = tuple[np.ndarray, np.ndarray, np.ndarray]
 
-
-def load_labeller(paths: Sequence[str | Path], expected: Mapping, size_m: float, n_turns: int = 1) -> Callable[..., Labels]:
+def load_labeller(
+    paths: Sequence[str | Path], expected: Mapping, size_m: float, n_turns: int = 1, smoothing: Smoothing = NO_SMOOTHING
+) -> Callable[..., VoxelLabels]:
     """The function that labels the voxels of a group of tiles: `grid, tile_m, group, n_groups, n_threads` as in `label_voxels`.
 
     Args:
@@ -21,6 +20,7 @@ def load_labeller(paths: Sequence[str | Path], expected: Mapping, size_m: float,
         expected: the settings they must have been made with, of `c2cnn.Settings` or `boosted_trees.TreeSettings`.
         size_m: voxel edge of the map to label.
         n_turns: quarter turns in which a network looks at a voxel; trees see no direction.
+        smoothing: of a network's shares; trees, the yardstick, are left as they are.
     Raises:
         BadInput: a file is damaged, or was made with other settings.
     """
@@ -30,4 +30,4 @@ def load_labeller(paths: Sequence[str | Path], expected: Mapping, size_m: float,
         return trees.label_voxels
     network = load_network(*paths)
     check_same_settings(network.settings, Settings(size_m=size_m, **expected), paths[0])
-    return partial(label_voxels, network, n_turns=n_turns)
+    return partial(label_voxels, network, n_turns=n_turns, smoothing=smoothing)

@@ -170,7 +170,7 @@ def merge_classes(confusion: np.ndarray, groups: Mapping[str, Sequence[str]]) ->
 def evaluate_labels(
     truth: np.ndarray,
     predicted: np.ndarray,
-    confidence: np.ndarray,
+    confidence: np.ndarray | None,
     *,
     n_per_class: int,
     rng: np.random.Generator,
@@ -190,7 +190,7 @@ def evaluate_labels(
     Args:
         truth: (V,) uint8 true labels, 255 where unknown.
         predicted: (V,) uint8 predicted labels in 0..8.
-        confidence: (V,) float32 in 0..1.
+        confidence: (V,) float32 in 0..1; None leaves its error out.
         n_per_class: the most voxels per class of the even test set.
         rng: draws the even test set.
         groups: group name to the names of its classes.
@@ -200,7 +200,7 @@ def evaluate_labels(
     Raises:
         BadInput: arrays of different lengths, a prediction that is no class, no voxel with a true label, or bad groups.
     """
-    if not len(truth) == len(predicted) == len(confidence):
+    if not len(truth) == len(predicted) or (confidence is not None and len(confidence) != len(truth)):
         raise BadInput("the label map", f"{len(predicted)} labels for {len(truth)} voxels of truth", "give the label map of the same part")
     if len(predicted) and predicted.max() >= N_CLASSES:
         raise BadInput("the label map", f"predicts {int(predicted.max())}, which is no class", "run label_map again")
@@ -212,10 +212,12 @@ def evaluate_labels(
     scores, confusions = [], []
     test_sets = {"even": draw_evenly(truth, n_per_class, rng), "natural": natural}
     for protocol, rows in test_sets.items():
-        t, p, c = truth[rows], predicted[rows], confidence[rows]
+        t, p = truth[rows], predicted[rows]
         confusion = count_confusion(t, p)
         scores += [(protocol, *row) for row in score_confusion(confusion, shares, groups or {})]
-        scores += [(protocol, "overall", "calibration_error", 100 * calibration_error(reliability_bins(t == p, c)), "%", len(rows))]
+        if confidence is not None:
+            error = calibration_error(reliability_bins(t == p, confidence[rows]))
+            scores.append((protocol, "overall", "calibration_error", 100 * error, "%", len(rows)))
         for name, labels in (("phantom", (PHANTOM,)), ("movable", MOVABLE_LABELS)):
             rates = zip(("static_kept", "dynamic_removed", "geometric_mean"), rate_cleaning(t, p, labels), strict=True)
             scores += [(protocol, f"cleaning:{name}", metric, 100 * value, "%", len(rows)) for metric, value in rates]

@@ -40,6 +40,19 @@ def test_the_seed_draws_the_even_set(paths):
     assert texts[0] == texts[1] != texts[2]
 
 
+def test_smoothed_labels_are_scored_beside_those_before(paths, tiny_world):
+    for path in paths[1]:
+        rows, labels = np.load(path)["rows"], np.load(path)["labels"]
+        write_label_tile(path, rows, labels, np.ones(len(rows)), np.where(labels == 5, 0, labels))
+    main(*paths, n_per_class=200, groups=GROUPS, seed=1)
+    scores, confusion = pd.read_csv(paths[2]), pd.read_csv(paths[3])
+    recall = scores[(scores["class"] == "car") & (scores.metric == "recall") & (scores.protocol == "even")].set_index("labels")["value"]
+    assert recall.to_dict() == {"map": 100.0, "alone": 0.0}
+    # Only the map has a confidence.
+    assert set(scores.labels[scores.metric == "calibration_error"]) == {"map"}
+    assert (confusion.groupby("labels").n.sum() == 9 * 200 + (tiny_world.labels != 255).sum()).all()
+
+
 def test_a_missing_part_leaves_no_table(paths):
     paths[1] = paths[1][:2]
     with pytest.raises(BadInput, match="in no part"):

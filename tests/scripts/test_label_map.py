@@ -6,7 +6,7 @@ import pytest
 from scripts import label_map
 from streetscan.classes import las_codes
 from streetscan.errors import BadInput
-from streetscan.io.label_tiles import read_label_tiles
+from streetscan.io.label_tiles import read_label_tiles, read_labels_alone
 from streetscan.io.las import read_crs, read_las
 from streetscan.segmentation.c2cnn import C2CNN, Settings, save_network
 from streetscan.voxels import voxelize
@@ -22,11 +22,11 @@ def inputs(tiny_world, tiny_map, tmp_path):
     return {"map_path": tiny_map, "voxels_path": tmp_path / "voxels.npz", "network_paths": network_paths}
 
 
-def run(inputs, folder, tiles, expected=None):
+def run(inputs, folder, tiles, expected=None, smoothing=None):
     expected = expected or {"k": 9, "n_hidden": 16}
     paths = folder / f"map_{tiles}.laz", folder / f"voxels_{tiles}.npz"
     outputs = {"labelled_map_path": paths[0], "labelled_voxels_path": paths[1]}
-    label_map.main(**inputs, **outputs, tiles=tiles, tile_m=4.0, n_turns=1, n_threads=1, expected=expected)
+    label_map.main(**inputs, **outputs, tiles=tiles, tile_m=4.0, n_turns=1, smoothing=smoothing, n_threads=1, expected=expected)
     return paths
 
 
@@ -51,6 +51,16 @@ def test_groups_together_label_what_one_labels(inputs, tiny_world, tmp_path):
     for a, b in zip(read_label_tiles([p[1] for p in parts], n_voxels), read_label_tiles([whole[1]], n_voxels), strict=True):
         np.testing.assert_array_equal(a, b)
     assert sum(len(read_las(p[0])) for p in parts) == len(tiny_world.cloud)
+
+
+def test_a_smoothed_map_keeps_what_its_voxels_were_alone(inputs, tiny_world, tmp_path):
+    n_voxels = len(voxelize([tiny_world.cloud.points], 0.2))
+    _, smooth = run(inputs, tmp_path / "smooth", "0of1", smoothing={"cell_voxels": 2, "n_rounds": 4, "sharpness": 1.0})
+    _, plain = run(inputs, tmp_path / "plain", "0of1")
+    alone, smoothed = read_labels_alone([smooth], n_voxels), read_label_tiles([smooth], n_voxels)[0]
+    np.testing.assert_array_equal(alone, read_label_tiles([plain], n_voxels)[0])
+    assert (smoothed != alone).any()
+    assert read_labels_alone([plain], n_voxels) is None
 
 
 def test_nothing_is_left_behind_when_weights_do_not_fit(inputs, tmp_path):

@@ -57,7 +57,7 @@ def inputs(tmp_path):
         tables = evaluate_labels(true, predicted, np.ones(3000, np.float32), n_per_class=100, rng=rng, groups=groups)
         for kind, table in zip(("evaluations", "confusions"), tables, strict=True):
             path = tmp_path / f"{dataset}_{kind}.csv"
-            table.to_csv(path, index=False)
+            table.assign(labels="map").to_csv(path, index=False)
             paths[kind].append(str(path))
     history = pd.DataFrame({"epoch": [1], "train_loss": [1.0], "validation_accuracy": [0.5], "learning_rate": [0.1]})
     history.to_csv(tmp_path / "history.csv", index=False)

@@ -9,6 +9,7 @@ from streetscan.errors import BadInput
 from streetscan.segmentation import inference
 from streetscan.segmentation.c2cnn import C2CNN, Settings, extract_cubes, input_channels
 from streetscan.segmentation.inference import assign_tiles, label_points, label_voxels, parse_tiles
+from streetscan.segmentation.smoothing import Smoothing
 from streetscan.voxels import voxelize
 
 NETWORK = C2CNN(Settings(k=11), seed=4).eval()
@@ -29,7 +30,7 @@ def grid(cloud):
 
 
 def test_labels_are_those_of_the_cubes(grid):
-    rows, labels, confidence = label_voxels(NETWORK, grid, 4.0)
+    rows, labels, confidence = label_voxels(NETWORK, grid, 4.0)[:3]
     assert (rows == np.arange(len(grid))).all()
     picked = rows[::50]
     cubes = extract_cubes(grid, input_channels(grid.counts, grid.height_m, NETWORK.settings), grid.keys[picked], np.zeros(len(picked)), 11)
@@ -41,7 +42,7 @@ def test_labels_are_those_of_the_cubes(grid):
 
 def test_turns_are_looked_at_together(grid):
     """Every label is that of the mean over the turned cubes; a turned map has the same labels."""
-    _, labels, confidence = label_voxels(NETWORK, grid, 4.0, n_turns=4)
+    _, labels, confidence = label_voxels(NETWORK, grid, 4.0, n_turns=4)[:3]
     picked = np.arange(len(grid))[::50]
     channels = input_channels(grid.counts, grid.height_m, NETWORK.settings)
     with torch.no_grad():
@@ -61,6 +62,19 @@ def test_nine_groups_give_what_one_gives(grid):
     np.testing.assert_array_equal(rows[order], whole[0])
     for i in (1, 2):
         np.testing.assert_array_equal(np.concatenate([p[i] for p in parts])[order], whole[i])
+
+
+@pytest.mark.parametrize("n_groups", [3, 9])
+def test_groups_smooth_as_the_whole_map_does(grid, n_groups):
+    smoothing = Smoothing(cell_voxels=2, n_rounds=3)
+    whole = label_voxels(NETWORK, grid, 1.0, smoothing=smoothing)
+    parts = [label_voxels(NETWORK, grid, 1.0, k, n_groups, smoothing=smoothing) for k in range(n_groups)]
+    order = np.argsort(np.concatenate([p.rows for p in parts]))
+    for name in ("rows", "labels", "alone"):
+        np.testing.assert_array_equal(np.concatenate([getattr(p, name) for p in parts])[order], getattr(whole, name))
+    np.testing.assert_allclose(np.concatenate([p.confidence for p in parts])[order], whole.confidence, atol=1e-5)
+    np.testing.assert_array_equal(whole.alone, label_voxels(NETWORK, grid, 1.0).labels)
+    assert (whole.alone != whole.labels).any()
 
 
 def test_threads_change_nothing(grid):
@@ -94,7 +108,7 @@ def test_every_point_is_labelled_once(cloud, grid):
     chunks = [cloud.select(slice(0, 1500)), cloud.select(slice(1500, None))]
     n = 0
     for k in range(3):
-        rows, labels, confidence = label_voxels(NETWORK, grid, 2.0, k, 3)
+        rows, labels, confidence = label_voxels(NETWORK, grid, 2.0, k, 3)[:3]
         for part in label_points(chunks, grid, rows, labels, confidence):
             at = np.searchsorted(rows, grid.find(grid.keys_of(part.points)))
             np.testing.assert_array_equal(part.fields["label"], labels[at])
@@ -113,7 +127,7 @@ def test_a_group_without_points_yields_one_empty_cloud_with_all_fields(cloud, gr
 
 def test_points_outside_the_grid_are_refused(grid):
     with pytest.raises(BadInput, match="no voxel"):
-        list(label_points([PointCloud(grid.centres[:1] + np.array([0, 0, 50.0]))], grid, *label_voxels(NETWORK, grid, 5.0)))
+        list(label_points([PointCloud(grid.centres[:1] + np.array([0, 0, 50.0]))], grid, *label_voxels(NETWORK, grid, 5.0)[:3]))
 
 
 def test_other_voxel_sizes_and_unknown_heights_are_refused(cloud, grid):

@@ -20,7 +20,7 @@ from streetscan.benchmarks.scores import (
     make_score,
     natural_scores,
     read_confusion,
-    read_evaluation,
+    read_evaluations,
     read_scores,
     write_scores,
 )
@@ -170,12 +170,23 @@ def test_files_are_read_back(tmp_path):
 
 def test_an_evaluation_is_read_from_its_files(tmp_path):
     evaluation, scores, confusion = evaluate()
-    scores.to_csv(tmp_path / "scores.csv", index=False)
-    confusion.to_csv(tmp_path / "confusion.csv", index=False)
-    back = read_evaluation(tmp_path / "scores.csv", tmp_path / "confusion.csv", "city", "c2cnn", 1)
+    scores.assign(labels="map").to_csv(tmp_path / "scores.csv", index=False)
+    confusion.assign(labels="map").to_csv(tmp_path / "confusion.csv", index=False)
+    (back,) = read_evaluations(tmp_path / "scores.csv", tmp_path / "confusion.csv", "city", "c2cnn", 1)
+    assert (back.method, back.model) == ("c2cnn", "c2cnn")
     assert (back.confusion == evaluation.confusion).all()
     assert back.confusion.sum() == 1980
     pd.testing.assert_frame_equal(pd.DataFrame(label_scores(back)), pd.DataFrame(label_scores(evaluation)))
+
+
+def test_a_smoothed_map_is_scored_beside_what_its_voxels_are_alone(tmp_path):
+    alone, smoothed = evaluate(seed=1), evaluate(seed=2)
+    for i, name in ((1, "scores.csv"), (2, "confusion.csv")):
+        pd.concat([smoothed[i].assign(labels="map"), alone[i].assign(labels="alone")]).to_csv(tmp_path / name, index=False)
+    back = read_evaluations(tmp_path / "scores.csv", tmp_path / "confusion.csv", "city", "c2cnn", 1)
+    assert [(e.method, e.model) for e in back] == [("c2cnn", "c2cnn"), ("c2cnn_smoothed", "c2cnn")]
+    assert [(e.confusion == of[0].confusion).all() for e, of in zip(back, (alone, smoothed), strict=True)] == [True, True]
+    assert found(label_scores(back[1]), "car", "c2cnn_smoothed f")["paper"] == ""
 
 
 @pytest.mark.parametrize("text", ["", "protocol,class\n", "a,b\n1,2,3\n"])
@@ -190,6 +201,6 @@ def test_bad_files_are_named(tmp_path, text):
 
 def test_unknown_classes_are_named(tmp_path):
     path = tmp_path / "confusion.csv"
-    path.write_text("protocol,truth,predicted,n\nnatural,ground,water,3\n")
+    path.write_text("labels,protocol,truth,predicted,n\nmap,natural,ground,water,3\n")
     with pytest.raises(BadInput, match="water"):
         read_confusion(path)

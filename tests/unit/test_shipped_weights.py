@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 import yaml
 
@@ -11,6 +12,7 @@ from streetscan.segmentation.c2cnn import Settings, check_same_settings, load_ne
 from streetscan.segmentation.ground import add_heights
 from streetscan.segmentation.inference import label_voxels
 from streetscan.simulation.colouring import Cameras
+from streetscan.simulation.layout import GENERATOR_VERSION
 from streetscan.simulation.receiver import Receiver
 from streetscan.simulation.recording import Errors, record_street
 from streetscan.simulation.sensors import mobile_mapper
@@ -31,6 +33,17 @@ def test_settings_are_the_defaults(network):
     check_same_settings(network.settings, Settings(size_m=config["voxelize_map"]["size_m"], **wanted), FOLDER)
 
 
+def test_where_they_come_from_is_told():
+    """Of the city as it is now, and as good as the kept results say."""
+    origin = yaml.safe_load((FOLDER / "origin.yaml").read_text())
+    assert origin["generator_version"] == GENERATOR_VERSION
+    dataset, model = origin["network"].split("/")
+    scores = pd.read_csv(HOME / "docs" / "results" / origin["run"] / "scores.csv")
+    kept = scores[(scores["table"] == "nagy_2_3") & (scores["dataset"] == dataset) & (scores["column"] == f"{model} f")]
+    assert origin["f_even_percent"] == {row: round(float(f), 1) for row, f in zip(kept["row"], kept["ours"], strict=True)}
+    assert origin["f_even_percent"]["overall"] > 60
+
+
 def test_a_simulated_street_is_recognised(network):
     """A street no network is trained or chosen on; the pulse rate is the city's own, the street shorter."""
     scanners = mobile_mapper(lines_per_s=100, pulses_per_s=140_000)
@@ -38,7 +51,7 @@ def test_a_simulated_street_is_recognised(network):
     points = np.concatenate([record.cloud.points for record in records])
     truth = np.concatenate([record.labels for record in records])
     grid = add_heights(voxelize([points], 0.1), cell_m=0.5, max_object_m=20.0, max_slope=0.15, step_m=0.2, min_patch_m2=4.0)
-    _, labels, confidence = label_voxels(network, grid, 40.0)
+    _, labels, confidence = label_voxels(network, grid, 40.0)[:3]
     of_points = labels[grid.find(grid.keys_of(points))]
     for label in (GROUND, FACADE):
         assert (of_points[truth == label] == label).mean() > 0.6

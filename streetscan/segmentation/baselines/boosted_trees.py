@@ -16,7 +16,7 @@ from streetscan.classes import N_CLASSES, NAMES
 from streetscan.errors import BadInput
 from streetscan.io.atomic import atomic_path
 from streetscan.segmentation.baselines.eigen_features import NeighbourTree, eigen_features, feature_names
-from streetscan.segmentation.inference import assign_tiles
+from streetscan.segmentation.inference import VoxelLabels, assign_tiles
 from streetscan.voxels import VoxelGrid
 
 logger = logging.getLogger(__name__)
@@ -66,20 +66,14 @@ class BoostedTrees:
     settings: TreeSettings
     booster: lightgbm.Booster
 
-    def label_voxels(
-        self, grid: VoxelGrid, tile_m: float, group: int = 0, n_groups: int = 1, n_threads: int = 1
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Labels of the voxels of one group of tiles, as `streetscan.segmentation.inference.label_voxels` gives a network's.
-
-        Returns:
-            rows (v,) int64 into the grid, increasing; labels (v,) uint8; confidence (v,) float32, the probability of the label.
-        """
+    def label_voxels(self, grid: VoxelGrid, tile_m: float, group: int = 0, n_groups: int = 1, n_threads: int = 1) -> VoxelLabels:
+        """Labels of the voxels of one group of tiles, as `streetscan.segmentation.inference.label_voxels` gives a network's."""
         tile, group_of_tile = assign_tiles(grid, tile_m, n_groups)
         rows = np.flatnonzero(group_of_tile[tile] == group)
         features = eigen_features(NeighbourTree(grid), rows, self.settings.neighbours, n_threads)
         shares = np.asarray(self.booster.predict(features, num_threads=n_threads)) if len(rows) else np.empty((0, N_CLASSES))
         logger.info("%d voxels labelled", len(rows))
-        return rows, shares.argmax(axis=1).astype(np.uint8), shares.max(axis=1).astype(np.float32)
+        return VoxelLabels(rows, shares.argmax(axis=1).astype(np.uint8), shares.max(axis=1).astype(np.float32))
 
 
 def grow_trees(
