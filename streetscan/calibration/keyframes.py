@@ -12,8 +12,8 @@ ASSUME: a keyframe needs `min_images`, the thesis' least N of 3. A place that gi
 
 ASSUME: columns are counted where the camera sees: it looks ahead, to within `margin_deg`, which is all that is known before it is
 calibrated. An object is a column by its shaft alone: slim, standing, and higher than people. Of 15 places of training and validation
-streets four have more than three such columns in view, and one has none; calibration works at those with one or two. So `min_columns` is 1,
-not the thesis' four; the thesis does not say how far it looks, or how its lidar's columns are counted.
+streets four have more than three such columns in view, and one has none; clouds come out right, and to scale, at training places with none
+to three. So `min_columns` is 1, not the thesis' four; the thesis does not say how far it looks, or how its lidar's columns are counted.
 """
 
 import logging
