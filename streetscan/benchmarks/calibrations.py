@@ -36,6 +36,8 @@ _STEPS = {
     "motion": "motion",
     "edges": "edges",
 }
+# Keyframes that have a step, beside those its errors are of.
+_N_STAGE = "n_with_stage"
 _PIXELS = ("x_mean", "x_deviation", "y_mean", "y_deviation")
 
 
@@ -97,7 +99,7 @@ def draw_reconstructions(models: Sequence[str]) -> list[Section]:
 
 def calibration_scores(paths: Sequence[str]) -> list[dict]:
     """Rows of the tidy scores: Tables 4.1 and 4.2 over all keyframes, one row per drive in the table `calibration`, and one per drive whose
-    camera was moved in the table `mount_shift`.
+    camera was moved in the table `mount_shift`. How bad accepted keyframes are at their worst is in the table `calibration_worst`.
 
     Args:
         paths: `evaluate_calibration/<drive>/scores.csv`, one per drive.
@@ -115,8 +117,10 @@ def calibration_scores(paths: Sequence[str]) -> list[dict]:
                     pixels.append((("nagy_4_1", "proposed", r["set"], r["metric"]), *figure, "final"))
                 row = f"{drive}/{r['set']}" if is_both else drive
                 rows.append(make_score("calibration", row, "", r["metric"], *figure, "final"))
-            elif r["stage"] in _STEPS and r["set"] == "slow" and r["metric"] in _PIXELS:
+            elif r["stage"] in _STEPS and r["set"] == "slow" and r["metric"] in (*_PIXELS, _N_STAGE):
                 pixels.append((("nagy_4_2", _STEPS[r["stage"]], "", r["metric"]), *figure, r["stage"]))
+            elif r["stage"] == "worst":
+                rows.append(make_score("calibration_worst", drive, "", r["metric"], *figure, "final"))
             elif r["stage"] in ("", "drive"):
                 rows.append(make_score("calibration", drive, "", r["metric"], *figure, r["stage"] or "keyframes"))
             elif r["stage"] == "shift" and is_moved:
@@ -125,13 +129,25 @@ def calibration_scores(paths: Sequence[str]) -> list[dict]:
 
 
 def _pool(figures: Sequence[tuple]) -> list[dict]:
-    """Rows of means over the keyframes of all drives, of (place in a table, value, unit, n, drive, method) of each drive."""
-    rows, drives = [], list(dict.fromkeys(drive for *_, drive, _ in figures))
-    dataset = drives[0] if len(drives) == 1 else "all_drives"
+    """Rows of means over the keyframes of all drives, of (place in a table, value, unit, n, drive, method) of each drive.
+
+    Steps are compared on the same keyframes, so Table 4.2 takes its errors from drives that have every step.
+    """
+    rows, steps = [], {}
+    for (table, step, *_), _, _, n, drive, _ in figures:
+        if table == "nagy_4_2" and n:
+            steps.setdefault(drive, set()).add(step)
+    every = set().union(*steps.values())
+    whole = {drive for drive, own in steps.items() if own == every}
     for place in dict.fromkeys(place for place, *_ in figures):
-        own = [(value, n, unit, method) for p, value, unit, n, _, method in figures if p == place]
-        values, counts, units, methods = zip(*own, strict=True)
-        rows.append(make_score(*place, float(np.average(values, weights=counts)), units[0], sum(counts), dataset, methods[0]))
+        table, *_, metric = place
+        own = [f for f in figures if f[0] == place and (table != "nagy_4_2" or metric == _N_STAGE or f[4] in whole)]
+        unit, method = next((unit, method) for p, _, unit, _, _, method in figures if p == place)
+        values, counts, drives = np.array([f[1] for f in own]), np.array([f[3] for f in own], int), [f[4] for f in own]
+        n = int(counts.sum())
+        mean = float(np.average(values[counts > 0], weights=counts[counts > 0])) if n else np.nan
+        value = float(values.sum()) if metric == _N_STAGE else mean
+        rows.append(make_score(*place, value, unit, n, drives[0] if len(drives) == 1 else "all_drives", method))
     return rows
 
 
