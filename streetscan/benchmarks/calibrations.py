@@ -7,11 +7,15 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 
 from streetscan.benchmarks.published import title
 from streetscan.benchmarks.report import Gallery, Part, Section, embed
 from streetscan.benchmarks.scores import make_score
+from streetscan.benchmarks.verdicts import HOW_TO_READ, checks_of
+from streetscan.calibration.keyframe_calibration import CalibrationSettings
 from streetscan.io.tables import read_csv
+from streetscan.localization.settings import build
 
 # Metric of evaluate_reconstruction to row and metric of the thesis' single figures.
 _TEXT = {
@@ -107,7 +111,8 @@ def calibration_scores(paths: Sequence[str]) -> list[dict]:
     rows, pixels = [], []
     for path in paths:
         drive = Path(path).parent.name
-        found = read_csv(path, ("set", "stage", "metric", "value", "unit", "n"), "evaluate_calibration").fillna({"set": "", "stage": ""})
+        found = read_csv(path, ("set", "stage", "metric", "value", "unit", "n"), "evaluate_calibration")
+        found = found.fillna({"set": "", "stage": "", "unit": ""})
         is_both = {"slow", "fast"} <= set(found["set"])
         is_moved = bool((found["metric"].eq("noticed_after") & found["n"].gt(0)).any())
         for r in found.to_dict("records"):
@@ -180,32 +185,38 @@ def draw_recalibrations(figures: Sequence[str]) -> list[Section]:
     return [Section("recalibrated", "Calibrated again and again", "", shown)] if shown else []
 
 
-def draw_calibrations(folders: Sequence[str], summaries: Sequence[str]) -> list[Section]:
-    """A section per drive with the verdicts and pictures of its keyframes.
+def draw_calibrations(folders: Sequence[str], summaries: Sequence[str], settings: Mapping) -> list[Section]:
+    """A section per drive with the verdicts and pictures of its keyframes, and what each check found.
 
     Args:
         folders, summaries: of calibrate_keyframe, `<drive>/<keyframe>/pictures` and summary.csv, one of each per keyframe.
+        settings: keys of CalibrationSettings they were calibrated by.
     """
+    asked = build(CalibrationSettings, settings, "calibrate_keyframe.settings")
     sections, keyframes = [], [Path(path).parts[-3:-1] for path in folders]
     for drive in dict.fromkeys(d for d, _ in keyframes):
         parts = []
         for folder, summary, (of, keyframe) in zip(map(Path, folders), summaries, keyframes, strict=True):
             if of != drive:
                 continue
-            row = read_csv(summary, ("status", "reason"), "calibrate_keyframe").fillna("").iloc[0]
-            verdict = f"{row.status}{f': {row.reason}' if row.reason else ''}"
+            row = read_csv(summary, ("status", "reason"), "calibrate_keyframe").iloc[0]
+            reason = "" if pd.isna(row.reason) else row.reason
+            verdict = f"{row.status}{f': {reason}' if reason else ''}"
             who = f"keyframe {keyframe} of {title(drive)}"
             files = [(name, folder / f"{kind}.png") for kind, name in _CALIBRATION_PICTURES.items() if (folder / f"{kind}.png").is_file()]
             caption = f"{who.capitalize()} ({verdict}): points of the lidar red nearby, green far off, those of matched objects blue."
             shown = [Gallery(f"calibrated-{drive}-{keyframe}-g", [(name, embed(path, f"{name}, {who}")) for name, path in files], caption)]
-            parts.append(Part(f"calibrated-{drive}-{keyframe}", f"Keyframe {keyframe}: {verdict}", "", shown if files else []))
-        sections.append(Section(f"calibrated-{drive}", f"Camera and lidar of {title(drive)}", "", [], parts))
+            # A keyframe without clouds was not calibrated: there is nothing it was judged by.
+            checks = checks_of(row, asked) if files else []
+            heading = f"Keyframe {keyframe}: {verdict}"
+            parts.append(Part(f"calibrated-{drive}-{keyframe}", heading, "", shown if files else [], checks=checks))
+        sections.append(Section(f"calibrated-{drive}", f"Camera and lidar of {title(drive)}", HOW_TO_READ, [], parts))
     return sections
 
 
-def draw_keyframes(inputs: Mapping[str, Sequence[str]]) -> list[Section]:
-    """The sections of `models`, `calibrated` with their `verdicts`, and `recalibration_figures`."""
-    of_keyframes = draw_reconstructions(inputs["models"]) + draw_calibrations(inputs["calibrated"], inputs["verdicts"])
+def draw_keyframes(inputs: Mapping[str, Sequence[str]], settings: Mapping) -> list[Section]:
+    """The sections of `models`, `calibrated` with their `verdicts` under `settings`, and `recalibration_figures`."""
+    of_keyframes = draw_reconstructions(inputs["models"]) + draw_calibrations(inputs["calibrated"], inputs["verdicts"], settings)
     return of_keyframes + draw_recalibrations(inputs["recalibration_figures"])
 
 
