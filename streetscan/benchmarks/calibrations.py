@@ -214,6 +214,42 @@ def draw_calibrations(folders: Sequence[str], summaries: Sequence[str], settings
     return sections
 
 
+def runtime_scores(models: Sequence[str], calibrations: Sequence[str]) -> list[dict]:
+    """Rows of the tidy scores: the seconds of each stage in the table `calibration_time`, and of all beside the thesis' three minutes.
+
+    Args:
+        models, calibrations: summary.csv of reconstruct_keyframe and of calibrate_keyframe, `<drive>/<keyframe>/summary.csv`, one of each
+            per keyframe.
+    Returns:
+        medians over the keyframes that came to a stage; of all stages over those that were accepted, since others stop early.
+    """
+    files = (models, "reconstruct_keyframe", "densification_s"), (calibrations, "calibrate_keyframe", "quality_s")
+    steps = [[read_csv(path, ("status", last), step).iloc[0] for path in paths] for paths, step, last in files]
+    drives = list(dict.fromkeys(Path(path).parts[-3] for path in calibrations))
+    dataset = drives[0] if len(drives) == 1 else "all_drives"
+    rows, totals = [], 0.0
+    for name, found in zip(("reconstruction", "calibration"), steps, strict=True):
+        table = pd.DataFrame([{k: v for k, v in row.items() if k.endswith("_s")} for row in found], dtype=float)
+        for column in table:
+            seconds = table[column].dropna()
+            if len(seconds):
+                rows.append(_time_row(f"{name}/{column.removesuffix('_s')}_stage", seconds, dataset))
+        totals = totals + table.sum(axis=1)
+    if rows:
+        accepted = totals[[row["status"] == "ok" for row in steps[1]]]
+        rows.append(_time_row("all_stages", accepted, dataset))
+        rows.append(make_score("nagy_text", "calibration", "proposed", "time", _median(accepted), "s", len(accepted), dataset, "keyframes"))
+    return rows
+
+
+def _time_row(row: str, seconds: pd.Series, dataset: str) -> dict:
+    return make_score("calibration_time", row, "", "time", _median(seconds), "s", len(seconds), dataset, "keyframes")
+
+
+def _median(values: pd.Series) -> float:
+    return float(values.median()) if len(values) else np.nan
+
+
 def draw_keyframes(inputs: Mapping[str, Sequence[str]], settings: Mapping) -> list[Section]:
     """The sections of `models`, `calibrated` with their `verdicts` under `settings`, and `recalibration_figures`."""
     of_keyframes = draw_reconstructions(inputs["models"]) + draw_calibrations(inputs["calibrated"], inputs["verdicts"], settings)
@@ -221,6 +257,8 @@ def draw_keyframes(inputs: Mapping[str, Sequence[str]], settings: Mapping) -> li
 
 
 def all_scores(inputs: Mapping[str, Sequence[str]]) -> list[dict]:
-    """Rows of the tidy scores of `reconstructions`, `detections`, `calibrations` and `recalibrations`, each of the step of its name."""
+    """Rows of the tidy scores of `reconstructions`, `detections`, `calibrations` and `recalibrations`, each of the step of its name, and
+    of the time that `model_summaries` and `verdicts` tell."""
     of_images = reconstruction_scores(inputs["reconstructions"]) + detection_scores(inputs["detections"])
-    return of_images + calibration_scores(inputs["calibrations"]) + recalibration_scores(inputs["recalibrations"])
+    of_keyframes = calibration_scores(inputs["calibrations"]) + runtime_scores(inputs["model_summaries"], inputs["verdicts"])
+    return of_images + of_keyframes + recalibration_scores(inputs["recalibrations"])

@@ -41,6 +41,7 @@ def inputs(tmp_path):
         "reconstructions": [],
         "detections": [],
         "models": [],
+        "model_summaries": [],
         "calibrations": [],
         "recalibrations": [],
         "recalibration_figures": [],
