@@ -27,7 +27,9 @@ _PICTURES = {
 }  # fmt: skip
 
 _CALIBRATION_PICTURES = {
-    "overlay": "Projected", "overlay_before": "Projected, by objects alone", "aligned": "Aligned", "aligned_objects": "Aligned by objects",
+    "overlay": "Projected", "overlay_before": "Projected, by objects alone",
+    "overlay_raw": "Projected, moving things left in", "overlay_curves": "Projected, after the curves", "matched": "Matched objects",
+    "aligned": "Aligned", "aligned_objects": "Aligned by objects",
     "lidar_objects": "Objects of the lidar", "sfm_objects": "Objects of the images", "lidar_shapes": "Shapes of the lidar",
     "sfm_shapes": "Shapes of the images", "curves": "Control curves",
 }  # fmt: skip
