@@ -25,12 +25,17 @@ KEYFRAME_STEPS = {
 
 
 def bench_calibration() -> list[dict]:
-    """Rows of each step's seconds and memory, of their sum, and of the densification and its points."""
+    """Rows of each step's seconds and memory, of their sum, and of the densification and its points.
+
+    Raises:
+        RuntimeError: the workflow failed, or the keyframe was refused: then what was timed is not a calibration.
+    """
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         _run(folder)
         steps = {step: _record(folder / "results" / f"{path}.bench.tsv") for step, path in KEYFRAME_STEPS.items()}
         made = pd.read_csv(folder / "results" / f"{KEYFRAME_STEPS['reconstruct_keyframe']}.csv").iloc[0]
+        check_accepted(folder / "results" / f"{KEYFRAME_STEPS['calibrate_keyframe']}.yaml")
     rows = [_row(f"time of {step}", record["s"], "s") for step, record in steps.items()]
     return [
         *rows,
@@ -55,6 +60,13 @@ def _run(folder: Path) -> None:
     done = subprocess.run([*command, *options, "--", target], capture_output=True, text=True)
     if done.returncode:
         raise RuntimeError("\n".join((done.stdout + done.stderr).splitlines()[-30:]))
+
+
+def check_accepted(path: Path) -> None:
+    """RuntimeError with status and reason when a keyframe's calibration was refused; that of its reconstruction comes through here."""
+    found = yaml.safe_load(path.read_text())
+    if found["status"] != "ok":
+        raise RuntimeError(f"{path}: the keyframe was refused, {found['status']}: {found['reason']}. A refused one stops early: no time.")
 
 
 def _record(path: Path) -> pd.Series:

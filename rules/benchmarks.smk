@@ -347,6 +347,7 @@ rule tabulate_benchmarks:
         reconstructions=expand("results/evaluate_reconstruction/{drive}/scores.csv", drive=SCORED_CALIBRATIONS),
         detections=expand("results/evaluate_detections/{drive}/scores.csv", drive=SCORED_DETECTIONS),
         models=for_keyframes("results/reconstruct_keyframe/{drive}/{keyframe}/model", CALIBRATED),
+        model_summaries=for_keyframes("results/reconstruct_keyframe/{drive}/{keyframe}/summary.csv", CALIBRATED),
         calibrations=expand("results/evaluate_calibration/{drive}/scores.csv", drive=SCORED_CALIBRATIONS),
         recalibrations=expand("results/evaluate_recalibration/{drive}/scores.csv", drive=RECALIBRATED),
         recalibration_figures=expand("results/evaluate_recalibration/{drive}/trials.png", drive=RECALIBRATED),

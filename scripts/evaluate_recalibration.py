@@ -40,7 +40,7 @@ def main(
     of_bins = pd.DataFrame([r for k in again.usable for r in again.score_bins(k, bins)], columns=recalibration.BIN_COLUMNS)
     save_tables({trials: of_trials, sizes: of_bins, scores: recalibration.summarize_trials(of_trials, of_bins)})
     accepted = of_trials["status"] == "ok"
-    save_figure(trial_errors({axis: of_trials[f"{axis}_px"].where(accepted).to_numpy() for axis in "xy"}, "difference [px]"), figure)
+    save_figure(trial_errors({axis: of_trials[f"all_{axis}_px"].where(accepted).to_numpy() for axis in "xy"}, "difference [px]"), figure)
 
 
 if __name__ == "__main__":

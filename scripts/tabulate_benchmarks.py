@@ -23,7 +23,8 @@ def main(
             evaluate_views `views`, per pair in `viewed`; of evaluate_registration `registrations` and `trajectories`, per pair in
             `registered`; of merge_frames `streets`, per pair in `merged`; per drive `grids` of evaluate_frames and `frames` of show_frames;
             per name in `localized` `localizations`, `localization_pictures`; per drive `reconstructions`, `detections`, `calibrations`,
-            `recalibrations`, `recalibration_figures`; per keyframe `models`, `calibrated`, `verdicts`; `realism`, `densities` (see below).
+            `recalibrations`, `recalibration_figures`; per keyframe `models`, `model_summaries`, `calibrated`,
+            `verdicts`; `realism`, `densities` (see below).
         outputs: `scores`, `report` (files), `tables`, `figures` (folders). evaluated ... localized: names, their parts as in the paths.
         facts: of Table 1.2, by data set. realism: `simulated` data sets; `compared`, `not_compared`; `static_scans`: mobile data set.
     """
@@ -43,7 +44,7 @@ def main(
     sections += report.realism_sections(figures, sheets, realism["not_compared"], densities, realism["static_scans"])
     sections += registrations.draw_drives(figures, drives, dict(zip(map(tuple, merged), inputs["streets"], strict=True)), inputs["frames"])
     sections += localizations.draw_localizations(figures, on_maps, inputs["localization_pictures"])
-    sections += calibrations.draw_keyframes(inputs)
+    sections += calibrations.draw_keyframes(inputs, config["calibrate_keyframe"]["settings"])
     labelled = list(dict.fromkeys([*map(tuple, evaluated), *views]))
     about = report.describe_run(config["run"], config["seed"], labelled, registered)
     resolved, unscored = yaml.safe_dump(dict(config), sort_keys=False, allow_unicode=True), labelled[len(evaluated) :]

@@ -7,11 +7,15 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 
 from streetscan.benchmarks.published import title
 from streetscan.benchmarks.report import Gallery, Part, Section, embed
 from streetscan.benchmarks.scores import make_score
+from streetscan.benchmarks.verdicts import HOW_TO_READ, checks_of
+from streetscan.calibration.keyframe_calibration import CalibrationSettings
 from streetscan.io.tables import read_csv
+from streetscan.localization.settings import build
 
 # Metric of evaluate_reconstruction to row and metric of the thesis' single figures.
 _TEXT = {
@@ -23,7 +27,9 @@ _PICTURES = {
 }  # fmt: skip
 
 _CALIBRATION_PICTURES = {
-    "overlay": "Projected", "overlay_before": "Projected, by objects alone", "aligned": "Aligned", "aligned_objects": "Aligned by objects",
+    "overlay": "Projected", "overlay_before": "Projected, by objects alone",
+    "overlay_raw": "Projected, moving things left in", "overlay_curves": "Projected, after the curves", "matched": "Matched objects",
+    "aligned": "Aligned", "aligned_objects": "Aligned by objects",
     "lidar_objects": "Objects of the lidar", "sfm_objects": "Objects of the images", "lidar_shapes": "Shapes of the lidar",
     "sfm_shapes": "Shapes of the images", "curves": "Control curves",
 }  # fmt: skip
@@ -36,6 +42,8 @@ _STEPS = {
     "motion": "motion",
     "edges": "edges",
 }
+# Keyframes that have a step, beside those its errors are of.
+_N_STAGE = "n_with_stage"
 _PIXELS = ("x_mean", "x_deviation", "y_mean", "y_deviation")
 
 
@@ -97,7 +105,7 @@ def draw_reconstructions(models: Sequence[str]) -> list[Section]:
 
 def calibration_scores(paths: Sequence[str]) -> list[dict]:
     """Rows of the tidy scores: Tables 4.1 and 4.2 over all keyframes, one row per drive in the table `calibration`, and one per drive whose
-    camera was moved in the table `mount_shift`.
+    camera was moved in the table `mount_shift`. How bad accepted keyframes are at their worst is in the table `calibration_worst`.
 
     Args:
         paths: `evaluate_calibration/<drive>/scores.csv`, one per drive.
@@ -105,7 +113,8 @@ def calibration_scores(paths: Sequence[str]) -> list[dict]:
     rows, pixels = [], []
     for path in paths:
         drive = Path(path).parent.name
-        found = read_csv(path, ("set", "stage", "metric", "value", "unit", "n"), "evaluate_calibration").fillna({"set": "", "stage": ""})
+        found = read_csv(path, ("set", "stage", "metric", "value", "unit", "n"), "evaluate_calibration")
+        found = found.fillna({"set": "", "stage": "", "unit": ""})
         is_both = {"slow", "fast"} <= set(found["set"])
         is_moved = bool((found["metric"].eq("noticed_after") & found["n"].gt(0)).any())
         for r in found.to_dict("records"):
@@ -115,8 +124,10 @@ def calibration_scores(paths: Sequence[str]) -> list[dict]:
                     pixels.append((("nagy_4_1", "proposed", r["set"], r["metric"]), *figure, "final"))
                 row = f"{drive}/{r['set']}" if is_both else drive
                 rows.append(make_score("calibration", row, "", r["metric"], *figure, "final"))
-            elif r["stage"] in _STEPS and r["set"] == "slow" and r["metric"] in _PIXELS:
+            elif r["stage"] in _STEPS and r["set"] == "slow" and r["metric"] in (*_PIXELS, _N_STAGE):
                 pixels.append((("nagy_4_2", _STEPS[r["stage"]], "", r["metric"]), *figure, r["stage"]))
+            elif r["stage"] == "worst":
+                rows.append(make_score("calibration_worst", drive, "", r["metric"], *figure, "final"))
             elif r["stage"] in ("", "drive"):
                 rows.append(make_score("calibration", drive, "", r["metric"], *figure, r["stage"] or "keyframes"))
             elif r["stage"] == "shift" and is_moved:
@@ -125,13 +136,25 @@ def calibration_scores(paths: Sequence[str]) -> list[dict]:
 
 
 def _pool(figures: Sequence[tuple]) -> list[dict]:
-    """Rows of means over the keyframes of all drives, of (place in a table, value, unit, n, drive, method) of each drive."""
-    rows, drives = [], list(dict.fromkeys(drive for *_, drive, _ in figures))
-    dataset = drives[0] if len(drives) == 1 else "all_drives"
+    """Rows of means over the keyframes of all drives, of (place in a table, value, unit, n, drive, method) of each drive.
+
+    Steps are compared on the same keyframes, so Table 4.2 takes its errors from drives that have every step.
+    """
+    rows, steps = [], {}
+    for (table, step, *_), _, _, n, drive, _ in figures:
+        if table == "nagy_4_2" and n:
+            steps.setdefault(drive, set()).add(step)
+    every = set().union(*steps.values())
+    whole = {drive for drive, own in steps.items() if own == every}
     for place in dict.fromkeys(place for place, *_ in figures):
-        own = [(value, n, unit, method) for p, value, unit, n, _, method in figures if p == place]
-        values, counts, units, methods = zip(*own, strict=True)
-        rows.append(make_score(*place, float(np.average(values, weights=counts)), units[0], sum(counts), dataset, methods[0]))
+        table, *_, metric = place
+        own = [f for f in figures if f[0] == place and (table != "nagy_4_2" or metric == _N_STAGE or f[4] in whole)]
+        unit, method = next((unit, method) for p, _, unit, _, _, method in figures if p == place)
+        values, counts, drives = np.array([f[1] for f in own]), np.array([f[3] for f in own], int), [f[4] for f in own]
+        n = int(counts.sum())
+        mean = float(np.average(values[counts > 0], weights=counts[counts > 0])) if n else np.nan
+        value = float(values.sum()) if metric == _N_STAGE else mean
+        rows.append(make_score(*place, value, unit, n, drives[0] if len(drives) == 1 else "all_drives", method))
     return rows
 
 
@@ -164,36 +187,80 @@ def draw_recalibrations(figures: Sequence[str]) -> list[Section]:
     return [Section("recalibrated", "Calibrated again and again", "", shown)] if shown else []
 
 
-def draw_calibrations(folders: Sequence[str], summaries: Sequence[str]) -> list[Section]:
-    """A section per drive with the verdicts and pictures of its keyframes.
+def draw_calibrations(folders: Sequence[str], summaries: Sequence[str], settings: Mapping) -> list[Section]:
+    """A section per drive with the verdicts and pictures of its keyframes, and what each check found.
 
     Args:
         folders, summaries: of calibrate_keyframe, `<drive>/<keyframe>/pictures` and summary.csv, one of each per keyframe.
+        settings: keys of CalibrationSettings they were calibrated by.
     """
+    asked = build(CalibrationSettings, settings, "calibrate_keyframe.settings")
     sections, keyframes = [], [Path(path).parts[-3:-1] for path in folders]
     for drive in dict.fromkeys(d for d, _ in keyframes):
         parts = []
         for folder, summary, (of, keyframe) in zip(map(Path, folders), summaries, keyframes, strict=True):
             if of != drive:
                 continue
-            row = read_csv(summary, ("status", "reason"), "calibrate_keyframe").fillna("").iloc[0]
-            verdict = f"{row.status}{f': {row.reason}' if row.reason else ''}"
+            row = read_csv(summary, ("status", "reason"), "calibrate_keyframe").iloc[0]
+            reason = "" if pd.isna(row.reason) else row.reason
+            verdict = f"{row.status}{f': {reason}' if reason else ''}"
             who = f"keyframe {keyframe} of {title(drive)}"
             files = [(name, folder / f"{kind}.png") for kind, name in _CALIBRATION_PICTURES.items() if (folder / f"{kind}.png").is_file()]
             caption = f"{who.capitalize()} ({verdict}): points of the lidar red nearby, green far off, those of matched objects blue."
             shown = [Gallery(f"calibrated-{drive}-{keyframe}-g", [(name, embed(path, f"{name}, {who}")) for name, path in files], caption)]
-            parts.append(Part(f"calibrated-{drive}-{keyframe}", f"Keyframe {keyframe}: {verdict}", "", shown if files else []))
-        sections.append(Section(f"calibrated-{drive}", f"Camera and lidar of {title(drive)}", "", [], parts))
+            # A keyframe without clouds was not calibrated: there is nothing it was judged by.
+            checks = checks_of(row, asked) if files else []
+            heading = f"Keyframe {keyframe}: {verdict}"
+            parts.append(Part(f"calibrated-{drive}-{keyframe}", heading, "", shown if files else [], checks=checks))
+        sections.append(Section(f"calibrated-{drive}", f"Camera and lidar of {title(drive)}", HOW_TO_READ, [], parts))
     return sections
 
 
-def draw_keyframes(inputs: Mapping[str, Sequence[str]]) -> list[Section]:
-    """The sections of `models`, `calibrated` with their `verdicts`, and `recalibration_figures`."""
-    of_keyframes = draw_reconstructions(inputs["models"]) + draw_calibrations(inputs["calibrated"], inputs["verdicts"])
+def runtime_scores(models: Sequence[str], calibrations: Sequence[str]) -> list[dict]:
+    """Rows of the tidy scores: the seconds of each stage in the table `calibration_time`, and of all beside the thesis' three minutes.
+
+    Args:
+        models, calibrations: summary.csv of reconstruct_keyframe and of calibrate_keyframe, `<drive>/<keyframe>/summary.csv`, one of each
+            per keyframe.
+    Returns:
+        medians over the keyframes that came to a stage; of all stages over those that were accepted, since others stop early.
+    """
+    files = (models, "reconstruct_keyframe", "densification_s"), (calibrations, "calibrate_keyframe", "quality_s")
+    steps = [[read_csv(path, ("status", last), step).iloc[0] for path in paths] for paths, step, last in files]
+    drives = list(dict.fromkeys(Path(path).parts[-3] for path in calibrations))
+    dataset = drives[0] if len(drives) == 1 else "all_drives"
+    rows, totals = [], 0.0
+    for name, found in zip(("reconstruction", "calibration"), steps, strict=True):
+        table = pd.DataFrame([{k: v for k, v in row.items() if k.endswith("_s")} for row in found], dtype=float)
+        for column in table:
+            seconds = table[column].dropna()
+            if len(seconds):
+                rows.append(_time_row(f"{name}/{column.removesuffix('_s')}_stage", seconds, dataset))
+        totals = totals + table.sum(axis=1)
+    if rows:
+        accepted = totals[[row["status"] == "ok" for row in steps[1]]]
+        rows.append(_time_row("all_stages", accepted, dataset))
+        rows.append(make_score("nagy_text", "calibration", "proposed", "time", _median(accepted), "s", len(accepted), dataset, "keyframes"))
+    return rows
+
+
+def _time_row(row: str, seconds: pd.Series, dataset: str) -> dict:
+    return make_score("calibration_time", row, "", "time", _median(seconds), "s", len(seconds), dataset, "keyframes")
+
+
+def _median(values: pd.Series) -> float:
+    return float(values.median()) if len(values) else np.nan
+
+
+def draw_keyframes(inputs: Mapping[str, Sequence[str]], settings: Mapping) -> list[Section]:
+    """The sections of `models`, `calibrated` with their `verdicts` under `settings`, and `recalibration_figures`."""
+    of_keyframes = draw_reconstructions(inputs["models"]) + draw_calibrations(inputs["calibrated"], inputs["verdicts"], settings)
     return of_keyframes + draw_recalibrations(inputs["recalibration_figures"])
 
 
 def all_scores(inputs: Mapping[str, Sequence[str]]) -> list[dict]:
-    """Rows of the tidy scores of `reconstructions`, `detections`, `calibrations` and `recalibrations`, each of the step of its name."""
+    """Rows of the tidy scores of `reconstructions`, `detections`, `calibrations` and `recalibrations`, each of the step of its name, and
+    of the time that `model_summaries` and `verdicts` tell."""
     of_images = reconstruction_scores(inputs["reconstructions"]) + detection_scores(inputs["detections"])
-    return of_images + calibration_scores(inputs["calibrations"]) + recalibration_scores(inputs["recalibrations"])
+    of_keyframes = calibration_scores(inputs["calibrations"]) + runtime_scores(inputs["model_summaries"], inputs["verdicts"])
+    return of_images + of_keyframes + recalibration_scores(inputs["recalibrations"])

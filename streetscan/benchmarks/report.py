@@ -59,14 +59,25 @@ class Gallery:
 
 
 @dataclass(frozen=True)
+class Check:
+    """What was asked of something and what was found; `verdict` is `passes`, `fails`, or empty where nothing is asked or known."""
+
+    name: str
+    asked: str
+    found: str
+    verdict: str
+
+
+@dataclass(frozen=True)
 class Part:
-    """One model on one data set."""
+    """One model on one data set, or one keyframe with the checks it was judged by."""
 
     anchor: str
     heading: str
     text: str
     galleries: list[Gallery] = field(default_factory=list)
     figures: list[Picture] = field(default_factory=list)
+    checks: list[Check] = field(default_factory=list)
 
 
 @dataclass(frozen=True)
@@ -453,7 +464,9 @@ def render_report(
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("streetscan.benchmarks", "."), autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True
     )
+    galleries = [g for s in sections for g in [*s.galleries, *(g for p in s.parts for g in p.galleries)]]
     return environment.get_template("report.html.j2").render(
+        n_sheets=max((len(g.pictures) for g in galleries), default=0),
         heading=f"streetscan: run {facts['Run']}",
         facts=list(facts.items()),
         glance=glance(scores),

@@ -9,6 +9,7 @@ A camera that was moved in mid-drive has two true places: a keyframe is compared
 
 ASSUME: the thesis picks ten corner-like points of a keyframe by hand; ours are ten depth edges of what stands still, spread over the image.
 ASSUME: its average and deviation are those of the absolute errors along an axis.
+ASSUME: a point that comes to lie behind the camera is infinitely far off; so is the mean it enters.
 """
 
 import math
@@ -45,6 +46,10 @@ _GATES = ("median_distance_m", "edge_margin_px", "sigma_x_px", "sigma_y_px")
 # ASSUME: a keyframe is truly good when no axis' mean error over all static points is above this; the thesis' projections are at 2.6 to 3.1.
 GOOD_PX = 2.0
 _GATE_SHARE = 0.95
+# ASSUME: a calibration is wrong beyond any of these, of its transform and of its feature points' mean error along an axis: about twice the
+# thesis' projections, and more than a user of the cloud would overlook.
+WRONG_DEG, WRONG_M, WRONG_PX = 1.0, 0.3, 5.0
+_WRONG = {"rotation_deg": WRONG_DEG, "translation_m": WRONG_M, "x_px": WRONG_PX, "y_px": WRONG_PX}
 TRANSFORM_COLUMNS = (
     "keyframe", "status", "is_after_shift", "rotation_deg", "translation_m", "forward_m", "offset_error_s", "sigma_m", "sigma_deg",
 )  # fmt: skip
@@ -134,16 +139,43 @@ def score_keyframe(calibration: dict, keyframe: int, truth: TruePixels | None) -
         if truth is not None:
             row["speed_kmh"] = truth.speed_kmh
         if truth is not None and projection is not None:
-            errors = np.abs(project_linear(projection, truth.points) - truth.pixels)
+            errors = pixel_errors(projection, truth.points, truth.pixels)
             for prefix, own in (("", errors[truth.features]), ("all_", errors)):
                 for axis, name in enumerate("xy"):
-                    # A point that comes to lie behind the camera has no error one could average: the keyframe then has none.
-                    row |= {f"{prefix}{name}_px": float(own[:, axis].mean()), f"{prefix}{name}_deviation_px": float(own[:, axis].std())}
+                    mean, deviation = _mean_and_deviation(own[:, axis])
+                    row |= {f"{prefix}{name}_px": mean, f"{prefix}{name}_deviation_px": deviation}
             row["n_points"] = len(errors)
         if stage == "final":
             row |= {name: calibration["figures"].get(name, np.nan) for name in _GATES}
         rows.append(row)
     return rows
+
+
+def pixel_errors(projection: np.ndarray, points: np.ndarray, pixels: np.ndarray) -> np.ndarray:
+    """Absolute errors (N, 2) of points (N, 3) by a projection (3, 4) from their true pixels; infinite where one comes to lie behind."""
+    errors = np.abs(project_linear(projection, points) - pixels)
+    return np.where(np.isnan(errors), np.inf, errors)
+
+
+def _mean_and_deviation(errors: np.ndarray) -> tuple[float, float]:
+    """Of errors (N,): NaN of none, infinite where one is."""
+    if len(errors) == 0:
+        return np.nan, np.nan
+    return (float(errors.mean()), float(errors.std())) if np.isfinite(errors).all() else (np.inf, np.inf)
+
+
+def is_wrong(found: pd.DataFrame) -> pd.Series:
+    """(N,) bool: calibrations beyond `WRONG_DEG`, `WRONG_M` or `WRONG_PX`.
+
+    Args:
+        found: `rotation_deg`, `translation_m`, `x_px` and `y_px`; NaN where there is no truth to tell, which is not held against it.
+    """
+    return pd.concat([found[name].astype(float) > limit for name, limit in _WRONG.items()], axis=1).any(axis=1)
+
+
+def is_known(found: pd.DataFrame) -> pd.Series:
+    """(N,) bool: whether truth tells anything that `is_wrong` looks at."""
+    return found[list(_WRONG)].notna().any(axis=1)
 
 
 def times_of_images(keyframes: Sequence[Keyframe], calibrations: Sequence[dict]) -> list[int]:
@@ -195,25 +227,28 @@ def summarize_errors(errors: pd.DataFrame, transforms: pd.DataFrame, history: pd
         transforms: rows of `score_transform`, that of the drive named `drive`.
         history: of calibrate_drive, a row per keyframe.
     Returns:
-        the share of accepted keyframes, their mean pixel errors by speed and stage, the errors of the drive's transform, of what the
-        gates look at the limits that let 95 % of the truly good keyframes pass (stage `gate`), and how a shift of the camera was noticed
-        (stage `shift`).
+        the share of accepted keyframes, their mean pixel errors by speed (stage `final`) and stage by stage, how bad accepted ones are at
+        their worst (stage `worst`), the errors of the drive's transform, of what the gates look at the limits that let 95 % of the truly
+        good keyframes pass (stage `gate`), and how a shift of the camera was noticed (stage `shift`).
+
+    Stages are compared on the same keyframes, those that have every stage; `n_with_stage` tells how many have this one.
     """
     rows = []
     finals = errors.drop_duplicates("keyframe")
     n = len(finals)
     rows.append(("", "", "accepted", 100 * float((finals["status"] == "ok").mean()) if n else np.nan, "%", n))
-    is_ok = errors["status"] == "ok"
-    for name, chosen in (("slow", errors["speed_kmh"] <= SLOW_KMH), ("fast", errors["speed_kmh"] > SLOW_KMH)):
-        for stage in dict.fromkeys(errors["stage"]):
-            own = errors[is_ok & chosen & (errors["stage"] == stage)].dropna(subset="x_px")
-            if len(own) == 0:
-                continue
-            for prefix in ("", "all_"):
-                for axis in "xy":
-                    value, deviation = own[f"{prefix}{axis}_px"].mean(), own[f"{prefix}{axis}_deviation_px"].mean()
-                    rows.append((name, stage, f"{prefix}{axis}_mean", float(value), "px", len(own)))
-                    rows.append((name, stage, f"{prefix}{axis}_deviation", float(deviation), "px", len(own)))
+    accepted = errors[errors["status"] == "ok"].dropna(subset="x_px")
+    for name, chosen in (("slow", accepted["speed_kmh"] <= SLOW_KMH), ("fast", accepted["speed_kmh"] > SLOW_KMH)):
+        own = accepted[chosen]
+        stages = [stage for stage in dict.fromkeys(own["stage"]) if stage != "final"]
+        counts = own[own["stage"] != "final"].groupby("keyframe").size()
+        has_all = own["keyframe"].isin(counts.index[counts == len(stages)])
+        for stage in stages:
+            with_stage = own["stage"] == stage
+            rows += _means_of(name, stage, own[with_stage & has_all])
+            rows.append((name, stage, "n_with_stage", float(with_stage.sum()), "", own["keyframe"].nunique()))
+        rows += _means_of(name, "final", own[own["stage"] == "final"]) if len(own) else []
+    rows += _worst_of(errors, transforms)
     rows += _gates_of(errors)
     for row in transforms[transforms["keyframe"] == "drive"].to_dict("records"):
         for column, metric, unit in (
@@ -226,6 +261,36 @@ def summarize_errors(errors: pd.DataFrame, transforms: pd.DataFrame, history: pd
             rows.append(("", "drive", metric, row[column], unit, int((finals["status"] == "ok").sum())))
     rows += _shift_of(transforms[transforms["keyframe"] != "drive"], history)
     return pd.DataFrame(rows, columns=["set", "stage", "metric", "value", "unit", "n"])
+
+
+def _means_of(name: str, stage: str, own: pd.DataFrame) -> list[tuple]:
+    """Rows of the means over keyframes of their own mean errors and deviations."""
+    rows = []
+    for prefix in ("", "all_"):
+        for axis in "xy":
+            for metric, column in (("mean", f"{prefix}{axis}_px"), ("deviation", f"{prefix}{axis}_deviation_px")):
+                rows.append((name, stage, f"{prefix}{axis}_{metric}", float(own[column].mean()), "px", len(own)))
+    return rows
+
+
+def _worst_of(errors: pd.DataFrame, transforms: pd.DataFrame) -> list[tuple]:
+    """Rows of accepted keyframes: the share that is wrong, and of each error the value 95 % stay within, and the largest.
+
+    The 95 % is an error that occurred, the next above, since keyframes are few and one may be infinite.
+    """
+    final = errors[(errors["stage"] == "final") & (errors["status"] == "ok")]
+    own = final.merge(transforms[["keyframe", "rotation_deg", "translation_m"]], on="keyframe", how="left")
+    known = own[is_known(own)]
+    if len(known) == 0:
+        return []
+    rows = [("", "worst", "ok_but_wrong", 100 * float(is_wrong(known).mean()), "%", len(known))]
+    for column in ("x_px", "y_px", "all_x_px", "all_y_px", "rotation_deg", "translation_m"):
+        name, unit = column.rsplit("_", 1)
+        values = own[column].dropna().to_numpy(float)
+        if len(values):
+            rows.append(("", "worst", f"{name}_p95", float(np.quantile(values, 0.95, method="higher")), unit, len(values)))
+            rows.append(("", "worst", f"{name}_max", float(values.max()), unit, len(values)))
+    return rows
 
 
 def _shift_of(transforms: pd.DataFrame, history: pd.DataFrame) -> list[tuple]:

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from scipy.spatial import cKDTree
 
 from streetscan.benchmarks.rendering import View, render_cloud
 from streetscan.calibration.keyframe_calibration import KeyframeCalibration, KeyframeClouds
@@ -19,6 +20,10 @@ _PALETTE = np.array(
     [(0, 114, 178), (230, 159, 0), (0, 158, 115), (204, 121, 167), (86, 180, 233), (213, 94, 0), (148, 103, 189), (140, 86, 75)], np.uint8
 )
 _SIZE = 1200, 750
+# Stages before the last, by the picture of their projection.
+_OVERLAYS = {"objects_raw": "overlay_raw", "objects": "overlay_before", "curves": "overlay_curves"}
+# A point of the camera's cloud as near as this to a matched object is drawn in its colour.
+_MATCHED_M = 0.3
 
 
 def write_pictures(folder: Path, made: KeyframeCalibration, clouds: KeyframeClouds) -> None:
@@ -26,7 +31,9 @@ def write_pictures(folder: Path, made: KeyframeCalibration, clouds: KeyframeClou
 
     `lidar_objects.png`, `sfm_objects.png` (Fig. 4.5e), `lidar_shapes.png`, `sfm_shapes.png` (Fig. 4.5c), `aligned_objects.png`,
     `aligned.png` (Figs. 4.6, 4.8: lidar orange, camera's cloud grey), `curves.png` (Fig. 4.9), `overlay.png` (Fig. 4.11: points by
-    distance, objects blue) and `overlay_before.png` (the calibration in force, or the coarse alignment without one).
+    distance, objects blue) and of earlier stages `overlay_before.png` (the alignment by objects), `overlay_raw.png` (the same with moving
+    things left in, as in Fig. 4.6d) and `overlay_curves.png` (after T*, Fig. 4.8); `matched.png` (Figs. 4.7 and 4.13: the matched objects
+    of both clouds from above, a colour each, the camera's lighter).
     """
     pictures = {}
     for name in ("lidar", "sfm"):
@@ -34,11 +41,14 @@ def write_pictures(folder: Path, made: KeyframeCalibration, clouds: KeyframeClou
             pictures |= {f"{name}_objects": _draw_objects(cloud), f"{name}_shapes": _draw_shapes(cloud)}
     if made.alignment is not None:
         pictures["aligned_objects"] = _draw_aligned(made, made.alignment.T_sfm_lidar)
-        if "objects" in made.stages:
-            pictures["overlay_before"] = _overlay(made, clouds, made.stages["objects"])
+    for stage, name in _OVERLAYS.items():
+        if stage in made.stages:
+            pictures[name] = _overlay(made, clouds, made.stages[stage])
     if made.T_camera_stamp is not None:
         T_sfm_stamp = invert(clouds.view.T_camera_sfm) @ made.T_camera_stamp
         pictures["aligned"] = _draw_aligned(made, T_sfm_stamp)
+        if made.control is not None and len(made.control.objects):
+            pictures["matched"] = _draw_matched(made, T_sfm_stamp)
     if made.projection is not None:
         pictures["overlay"] = _overlay(made, clouds, made.projection)
     if made.curves is not None:
@@ -74,6 +84,24 @@ def _draw_aligned(made: KeyframeCalibration, T_sfm_lidar: np.ndarray) -> np.ndar
     moved = apply(sfm.T_level_cloud @ T_sfm_lidar @ invert(lidar.T_level_cloud), own)
     colours = np.concatenate([np.tile(_LIDAR, (len(own), 1)), np.tile(_CAMERA, (len(theirs), 1))]).astype(np.uint8)
     return render_cloud(np.concatenate([moved, theirs]), colours, _ABOVE, 0.1, background=(250, 250, 250))
+
+
+def _draw_matched(made: KeyframeCalibration, T_sfm_lidar: np.ndarray) -> np.ndarray:
+    """Matched objects of the lidar and the points of the camera's cloud at them, an object a colour; what else stands light grey."""
+    lidar, sfm = made.lidar, made.sfm
+    members = [lidar.points_of(m) for m in made.control.objects]
+    number = np.repeat(np.arange(len(members)), [len(m) for m in members])
+    moved = apply(sfm.T_level_cloud @ T_sfm_lidar @ invert(lidar.T_level_cloud), np.concatenate(members))
+    distances, rows = cKDTree(moved).query(sfm.points, distance_upper_bound=_MATCHED_M)
+    near = np.isfinite(distances)
+    # An object may be higher or lower than what is drawn around it.
+    shown = near | ((sfm.heights_m > 0.3) & (sfm.heights_m < 4.0))
+    theirs, near, rows = sfm.points[shown], near[shown], rows[shown]
+    own = _PALETTE[number % len(_PALETTE)]
+    # The camera's are lighter, so that both are seen where they do not lie on each other.
+    colours = np.full((len(theirs), 3), 205, np.uint8)
+    colours[near] = 128 + own[rows[near]] // 2
+    return render_cloud(np.concatenate([theirs, moved]), np.concatenate([colours, own]), _ABOVE, 0.12, background=(250, 250, 250))
 
 
 def _draw_curves(made: KeyframeCalibration) -> np.ndarray:

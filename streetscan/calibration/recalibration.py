@@ -20,7 +20,7 @@ import numpy as np
 import pandas as pd
 
 from streetscan.calibration.alignment import AlignmentSettings, vote_alignments
-from streetscan.calibration.calibration_evaluation import TruePixels, find_true_pixels
+from streetscan.calibration.calibration_evaluation import TruePixels, find_true_pixels, is_known, is_wrong, pixel_errors
 from streetscan.calibration.calibration_files import read_clouds
 from streetscan.calibration.keyframe_calibration import (
     CalibrationFailed,
@@ -31,7 +31,7 @@ from streetscan.calibration.keyframe_calibration import (
     prepare_objects,
 )
 from streetscan.calibration.keyframes import Keyframe, read_keyframe_lidar
-from streetscan.calibration.linear_projection import project_linear, rigid_of
+from streetscan.calibration.linear_projection import rigid_of
 from streetscan.calibration.motion import motion_of
 from streetscan.calibration.objects import CloudObjects
 from streetscan.extrinsics import extrinsics_at
@@ -42,14 +42,14 @@ from streetscan.io.mcap import iterate_lidar
 from streetscan.registration.odometry import FramePose
 
 TRIAL_COLUMNS = (
-    "trial", "keyframe", "lidar_frame", "roll_deg", "pitch_deg", "yaw_deg", "tilt_deg", "status", "x_px", "y_px", "rotation_deg",
-    "translation_m",
+    "trial", "keyframe", "lidar_frame", "roll_deg", "pitch_deg", "yaw_deg", "tilt_deg", "status", "x_px", "y_px", "all_x_px",
+    "all_y_px", "rotation_deg", "translation_m",
 )  # fmt: skip
 BIN_COLUMNS = ("keyframe", "turn_step_deg", "step_m", "is_found", "rotation_deg", "translation_m")
 # A vote that is farther off is a failed registration.
 _FAILED_M, _FAILED_DEG = 1.0, 3.0
-# Tilts are counted in steps of so many degrees.
-_TILT_STEP_DEG = 2.5
+# Tilts and yaws are counted in steps of so many degrees.
+_STEPS_DEG = {"tilt": 2.5, "yaw": 45.0}
 
 
 @dataclass(frozen=True)
@@ -110,7 +110,7 @@ def turn_clouds(
 
 
 def score_trial(trial: Trial, lidar_frame: int, made: KeyframeCalibration, truth: TruePixels, T_camera_lidar: np.ndarray) -> dict:
-    """A row of TRIAL_COLUMNS: mean absolute errors of all static points' pixels, and those of the transform.
+    """A row of TRIAL_COLUMNS: mean absolute errors of the feature points' and of all static points' pixels, and those of the transform.
 
     Args:
         trial, lidar_frame: what was calibrated.
@@ -122,8 +122,9 @@ def score_trial(trial: Trial, lidar_frame: int, made: KeyframeCalibration, truth
     row = dict.fromkeys(TRIAL_COLUMNS, np.nan) | {"trial": trial.number, "keyframe": f"{trial.keyframe:02d}", "lidar_frame": lidar_frame}
     row |= {"roll_deg": roll, "pitch_deg": pitch, "yaw_deg": yaw, "tilt_deg": trial.tilt_deg, "status": made.status}
     if made.projection is not None:
-        errors = np.abs(project_linear(made.projection, apply(trial.T_turned_lidar, truth.points)) - truth.pixels)
-        row |= {"x_px": float(errors[:, 0].mean()), "y_px": float(errors[:, 1].mean())}
+        errors = pixel_errors(made.projection, apply(trial.T_turned_lidar, truth.points), truth.pixels)
+        for prefix, own in (("", errors[truth.features]), ("all_", errors)):
+            row |= {f"{prefix}{name}_px": float(own[:, axis].mean()) if len(own) else np.nan for axis, name in enumerate("xy")}
     if made.T_camera_lidar is not None:
         row |= _errors_of(made.T_camera_lidar @ trial.T_turned_lidar, T_camera_lidar)
     return row
@@ -228,20 +229,34 @@ def summarize_trials(trials: pd.DataFrame, bins: pd.DataFrame) -> pd.DataFrame:
     Args:
         trials, bins: rows of `score_trial` and `score_bins`.
     Returns:
-        over accepted trials the least, mean and largest error in x and y; the share accepted by tilt; for each size of the bins the share
-        of failed registrations and the mean errors of the others.
+        over accepted trials the least, mean and largest error of all static points in x and y; the shares accepted, right (accepted, and
+        not `is_wrong`) and ok but wrong, of all trials, and the first two by tilt and by yaw; for each size of the bins the share of
+        failed registrations and the mean errors of the others.
     """
-    accepted, rows = trials[trials["status"] == "ok"], []
-    rows.append(("", "accepted", 100 * len(accepted) / len(trials) if len(trials) else np.nan, "%", len(trials)))
+    is_ok = trials["status"] == "ok"
+    # What truth tells nothing of is not called right.
+    is_right = is_ok & ~is_wrong(trials) & is_known(trials)
+    accepted, rows = trials[is_ok], []
+    rows += _shares("", is_ok, is_right)
+    rows.append(("", "ok_but_wrong", _per_cent(is_ok & is_wrong(trials)), "%", len(trials)))
     for axis in "xy":
         for metric in ("min", "mean", "max"):
-            rows.append(("", f"{axis}_{metric}", float(getattr(accepted[f"{axis}_px"], metric)()), "px", len(accepted)))
-    for step, own in trials.groupby((trials["tilt_deg"] // _TILT_STEP_DEG).astype(int)):
-        name = f"tilt {step * _TILT_STEP_DEG:g}-{(step + 1) * _TILT_STEP_DEG:g} deg"
-        rows.append((name, "accepted", 100 * float((own["status"] == "ok").mean()), "%", len(own)))
+            rows.append(("", f"{axis}_{metric}", float(getattr(accepted[f"all_{axis}_px"], metric)()), "px", len(accepted)))
+    for angle, width in _STEPS_DEG.items():
+        for step, own in trials.groupby((trials[f"{angle}_deg"] // width).astype(int)):
+            name = f"{angle} {step * width:g} to {(step + 1) * width:g} deg"
+            rows += _shares(name, is_ok[own.index], is_right[own.index])
     for (turn, step), own in bins.groupby(["turn_step_deg", "step_m"]):
         name, right = f"bins {turn:g} deg {step:g} m", own[own["is_found"].astype(bool)]
         rows.append((name, "failed", 100 * (1 - len(right) / len(own)), "%", len(own)))
         rows.append((name, "rotation", float(right["rotation_deg"].mean()), "deg", len(right)))
         rows.append((name, "translation", float(right["translation_m"].mean()), "m", len(right)))
     return pd.DataFrame(rows, columns=["set", "metric", "value", "unit", "n"])
+
+
+def _shares(name: str, is_ok: pd.Series, is_right: pd.Series) -> list[tuple]:
+    return [(name, metric, _per_cent(flags), "%", len(flags)) for metric, flags in (("accepted", is_ok), ("right", is_right))]
+
+
+def _per_cent(flags: pd.Series) -> float:
+    return 100 * float(flags.mean()) if len(flags) else np.nan

@@ -15,7 +15,7 @@ from streetscan.registration.grid_evaluation import score_grid
 from streetscan.registration.odometry import FramePose
 from streetscan.segmentation.metrics import evaluate_labels
 
-CONFIG = {"run": "try", "seed": 1, "labelled_maps": ["city/c2cnn"]}
+CONFIG = {"run": "try", "seed": 1, "labelled_maps": ["city/c2cnn"], "calibrate_keyframe": {"settings": {}}}
 TABLES = {"nagy_1_2", "nagy_2_3", "nagy_2_4", "nagy_2_3_natural", "map_cleaning", "jozsa_1", "jozsa_2", "registration", "grid_classes"}
 TABLES |= {"nagy_3_1", "localization", "localization_verdicts", "confidence"}
 REGISTERED = [("my_drive", "ndt_tall"), ("my_drive", "ndt_raw"), ("my_drive", "kiss_icp")]
@@ -41,6 +41,7 @@ def inputs(tmp_path):
         "reconstructions": [],
         "detections": [],
         "models": [],
+        "model_summaries": [],
         "calibrations": [],
         "recalibrations": [],
         "recalibration_figures": [],

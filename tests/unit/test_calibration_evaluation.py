@@ -9,12 +9,15 @@ import pytest
 from streetscan.calibration.calibration_evaluation import (
     COLUMNS,
     TRANSFORM_COLUMNS,
+    TruePixels,
+    score_keyframe,
     score_transform,
     summarize_errors,
     times_of_images,
 )
 from streetscan.calibration.drive_calibration import KeyframeResult, follow_drive
 from streetscan.calibration.keyframes import Keyframe
+from streetscan.calibration.linear_projection import project_linear
 from streetscan.geometry import apply, transform
 
 T_BEFORE = np.array([[0.0, -1, 0, 0.1], [0, 0, -1, -0.2], [1, 0, 0, -0.4], [0, 0, 0, 1]])
@@ -97,3 +100,84 @@ def test_a_place_without_images_counts_as_the_one_before_it():
 def test_the_end_of_a_drive_is_after_every_shift():
     assert score_transform("drive", "ok", None, SHIFTED)["is_after_shift"]
     assert not score_transform("drive", "ok", None, STILL, math.inf)["is_after_shift"]
+
+
+def of_keyframes(*rows: tuple) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """Tables of keyframes of (status, stages with their error in px, rotation_deg) at 20 km/h."""
+    errors, transforms = [], []
+    for k, (status, stages, rotation_deg) in enumerate(rows):
+        for stage, px in stages.items():
+            values = {name: px for name in COLUMNS if name.endswith("_px")}
+            errors.append(values | {"keyframe": f"{k:02d}", "status": status, "stage": stage, "speed_kmh": 20.0})
+        transforms.append({"keyframe": f"{k:02d}", "status": status, "rotation_deg": rotation_deg, "translation_m": 0.1})
+    tables = pd.DataFrame(errors, columns=COLUMNS), pd.DataFrame(transforms, columns=TRANSFORM_COLUMNS)
+    tables[1]["is_after_shift"] = False
+    return tables
+
+
+def scores_of(*rows: tuple) -> pd.DataFrame:
+    history = pd.DataFrame({"is_shifted": [False] * len(rows), "in_force": [-1] * len(rows)})
+    return summarize_errors(*of_keyframes(*rows), history).set_index(["set", "stage", "metric"])
+
+
+def test_stages_are_compared_on_the_same_keyframes():
+    scores = scores_of(
+        ("ok", {"objects": 9.0, "curves": 2.0, "final": 2.0}, 0.1),
+        ("ok", {"objects": 1.0, "final": 1.0}, 0.1),
+        ("uncertain", {"objects": 50.0, "curves": 50.0, "final": 50.0}, 9.0),
+    )
+    slow = scores.loc["slow"]
+    assert slow.loc[("objects", "x_mean"), ["value", "n"]].tolist() == [9.0, 1]
+    assert slow.loc[("curves", "x_mean"), ["value", "n"]].tolist() == [2.0, 1]
+    assert slow.loc[("objects", "n_with_stage"), ["value", "n"]].tolist() == [2, 2]
+    assert slow.loc[("curves", "n_with_stage"), ["value", "n"]].tolist() == [1, 2]
+    # The outcome itself is of all accepted keyframes.
+    assert slow.loc[("final", "x_mean"), ["value", "n"]].tolist() == [1.5, 2]
+
+
+def test_without_a_keyframe_that_has_every_stage_none_is_compared():
+    slow = scores_of(("ok", {"objects": 9.0, "final": 2.0}, 0.1), ("ok", {"icp": 1.0, "final": 1.0}, 0.1)).loc["slow"]
+    assert slow.loc[("objects", "x_mean"), "n"] == slow.loc[("icp", "x_mean"), "n"] == 0
+    assert np.isnan(slow.loc[("objects", "x_mean"), "value"])
+
+
+def test_accepted_keyframes_that_are_wrong_are_counted():
+    """Of twenty, one is turned and one is off in the image; a refused one does not count."""
+    rows = [("ok", {"final": 1.0}, 0.1)] * 18
+    rows += [
+        ("ok", {"final": 1.0}, 1.2),
+        ("ok", {"final": 7.0}, 0.1),
+        ("uncertain", {"final": 99.0}, 9),
+    ]
+    worst = scores_of(*rows).loc[("", "worst"), "value"]
+    assert worst["ok_but_wrong"] == pytest.approx(10)
+    assert (worst["x_p95"], worst["x_max"], worst["rotation_max"], worst["translation_max"]) == (7.0, 7.0, 1.2, 0.1)
+
+
+def test_without_truth_no_keyframe_is_called_right_or_wrong():
+    errors, transforms = of_keyframes(("ok", {"final": np.nan}, np.nan))
+    transforms["translation_m"] = np.nan
+    history = pd.DataFrame({"is_shifted": [False], "in_force": [0]})
+    assert "worst" not in set(summarize_errors(errors, transforms, history)["stage"])
+
+
+def test_a_point_behind_the_camera_is_infinitely_wrong():
+    """The true camera looks along x; one that looks back has every point behind it."""
+    P = np.array([[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0]])
+    points = np.array([[4.0, 1, 0], [5, -2, 1], [8, 0, 1]])
+    truth = TruePixels(points, project_linear(P, points), np.array([0, 1]), 20.0)
+    found = {"stages": {"icp": P.tolist()}, "projection": (-P).tolist(), "status": "ok", "figures": {}}
+    errors = pd.DataFrame(score_keyframe(found, 0, truth), columns=COLUMNS)
+    assert errors.set_index("stage")["x_px"].to_dict() == {"icp": 0.0, "final": np.inf}
+    transforms = pd.DataFrame([score_transform("00", "ok", None, STILL)], columns=TRANSFORM_COLUMNS)
+    scores = summarize_errors(errors, transforms, pd.DataFrame({"is_shifted": [False], "in_force": [0]})).set_index(["stage", "metric"])
+    assert scores.loc[("worst", "ok_but_wrong"), "value"] == 100
+    assert scores.loc[("final", "x_mean"), "value"] == scores.loc[("worst", "x_p95"), "value"] == np.inf
+
+
+def test_a_frame_without_features_has_no_error_of_them():
+    P = np.array([[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0]])
+    truth = TruePixels(np.array([[4.0, 1, 0]]), np.zeros((1, 2)), np.empty(0, int), 20.0)
+    (row,) = score_keyframe({"stages": {}, "projection": P.tolist(), "status": "ok", "figures": {}}, 0, truth)
+    assert np.isnan(row["x_px"])
+    assert row["all_x_px"] == 0.25

@@ -5,7 +5,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from streetscan.benchmarks.calibrations import calibration_scores, draw_reconstructions, reconstruction_scores
+from streetscan.benchmarks.calibrations import calibration_scores, draw_reconstructions, reconstruction_scores, runtime_scores
 from streetscan.benchmarks.scores import collect_scores
 from streetscan.benchmarks.tables import make_tables
 from streetscan.errors import BadInput
@@ -89,3 +89,43 @@ def test_drives_are_pooled_in_the_tables_of_the_thesis(tmp_path):
     pooled = found[found.table == "nagy_4_1"].iloc[0]
     assert (pooled.ours, pooled.n, pooled.dataset) == (1.25, 4, "all_drives")
     assert found[found.table == "calibration"].row.tolist() == ["a", "b"]
+
+
+def test_steps_of_drives_are_compared_on_the_same_keyframes(tmp_path):
+    """Drive `b` lacks a step: its keyframes stand beside, and enter no error of Table 4.2; how bad the worst are stands in a table."""
+    paths = []
+    for drive, value, stages in (("a", 1.0, ("objects", "icp")), ("b", 5.0, ("objects",))):
+        paths.append(tmp_path / "evaluate_calibration" / drive / "scores.csv")
+        paths[-1].parent.mkdir(parents=True)
+        rows = [("slow", s, "x_mean", value, "px", 2) for s in stages] + [("slow", s, "n_with_stage", 3.0, "", 4) for s in stages]
+        rows.append(("", "worst", "ok_but_wrong", 25.0, "%", 4))
+        pd.DataFrame(rows, columns=["set", "stage", "metric", "value", "unit", "n"]).to_csv(paths[-1], index=False)
+    found = pd.DataFrame(calibration_scores([str(path) for path in paths]))
+    of_steps = found[found.table == "nagy_4_2"].set_index(["row", "column"])
+    assert of_steps.loc[("oba_dynamic_filtered", "x_mean"), ["ours", "n", "dataset"]].tolist() == [1.0, 2, "a"]
+    assert of_steps.loc[("oba_dynamic_filtered", "n_with_stage"), "ours"] == 6
+    assert of_steps.loc[("icp", "n_with_stage"), "ours"] == 3
+    assert found[found.table == "calibration_worst"][["row", "column", "ours"]].to_numpy().tolist() == [
+        ["a", "ok_but_wrong", 25.0], ["b", "ok_but_wrong", 25.0],
+    ]  # fmt: skip
+    assert make_tables(collect_scores([], {}, found.to_dict("records")))
+
+
+def test_time_is_told_by_stage_over_what_came_to_it(tmp_path):
+    """The second keyframe was refused, the third has no clouds: their stages count where they were reached, not the sum."""
+    columns = {"densification_s": (60.0, 70.0, np.nan), "quality_s": (1.0, 3.0, np.nan)}
+    paths = {name: [] for name in columns}
+    for name, seconds in columns.items():
+        for k, (status, value) in enumerate(zip(("ok", "far_apart", "no_clouds"), seconds, strict=True)):
+            path = tmp_path / name / "my_drive" / f"{k:02d}" / "summary.csv"
+            path.parent.mkdir(parents=True)
+            pd.DataFrame({"keyframe": [k], "status": status, name: value}).to_csv(path, index=False)
+            paths[name].append(str(path))
+    rows = runtime_scores(*paths.values())
+    found = pd.DataFrame(rows).set_index(["table", "row"])
+    assert found.loc[("calibration_time", "reconstruction/densification_stage"), ["ours", "n"]].tolist() == [65.0, 2]
+    assert found.loc[("calibration_time", "calibration/quality_stage"), ["ours", "n"]].tolist() == [2.0, 2]
+    assert found.loc[("calibration_time", "all_stages"), ["ours", "n"]].tolist() == [61.0, 1]
+    assert found.loc[("nagy_text", "calibration"), ["ours", "paper"]].tolist() == [61.0, "<180"]
+    assert make_tables(collect_scores([], {}, rows))
+    assert runtime_scores([], []) == []

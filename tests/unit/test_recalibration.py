@@ -26,8 +26,9 @@ def test_without_a_cloud_there_are_no_trials():
 
 
 def test_refused_trials_count_and_have_no_errors():
-    rows = [("ok", 1.0, 0.5, 1.0), ("ok", 2.0, 1.0, 4.0), ("no_match", np.nan, np.nan, 4.5)]
-    trials = pd.DataFrame(rows, columns=["status", "x_px", "y_px", "tilt_deg"])
+    rows = [("ok", 1.0, 0.5, 1.0, 100.0, 0.1), ("ok", 2.0, 1.0, 4.0, 100.0, 1.5), ("no_match", np.nan, np.nan, 4.5, -10.0, np.nan)]
+    trials = pd.DataFrame(rows, columns=["status", "all_x_px", "all_y_px", "tilt_deg", "yaw_deg", "rotation_deg"])
+    trials = trials.reindex(columns=[*TRIAL_COLUMNS]).assign(x_px=trials["all_x_px"], y_px=trials["all_y_px"], translation_m=0.1)
     bins = pd.DataFrame({
         "keyframe": ["00", "01"], "turn_step_deg": 0.25, "step_m": 0.2, "is_found": [True, False], "rotation_deg": [0.5, 90.0],
         "translation_m": [0.1, 9.0],
@@ -35,7 +36,12 @@ def test_refused_trials_count_and_have_no_errors():
     scores = summarize_trials(trials, bins).set_index(["set", "metric"])["value"]
     assert scores["", "accepted"] == pytest.approx(200 / 3)
     assert (scores["", "x_min"], scores["", "x_mean"], scores["", "x_max"]) == (1.0, 1.5, 2.0)
-    assert scores["tilt 0-2.5 deg", "accepted"] == 100
-    assert scores["tilt 2.5-5 deg", "accepted"] == 50
+    assert scores["tilt 0 to 2.5 deg", "accepted"] == 100
+    assert scores["tilt 2.5 to 5 deg", "accepted"] == 50
+    # The second is accepted and turned by more than a degree.
+    assert scores["", "right"] == scores["", "ok_but_wrong"] == pytest.approx(100 / 3)
+    assert (scores["tilt 0 to 2.5 deg", "right"], scores["tilt 2.5 to 5 deg", "right"]) == (100, 0)
+    assert (scores["yaw 90 to 135 deg", "accepted"], scores["yaw 90 to 135 deg", "right"]) == (100, 50)
+    assert scores["yaw -45 to 0 deg", "accepted"] == 0
     assert scores["bins 0.25 deg 0.2 m", "failed"] == 50
     assert scores["bins 0.25 deg 0.2 m", "rotation"] == 0.5

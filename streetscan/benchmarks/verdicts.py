@@ -1,0 +1,93 @@
+"""Why a keyframe's calibration was believed or refused: what each check found, and what it asks.
+
+The checks need no truth. They are made by calibrate_keyframe, which writes what they found; here they are laid beside their limits.
+"""
+
+from collections.abc import Mapping
+
+import pandas as pd
+
+from streetscan.benchmarks.report import Check
+from streetscan.benchmarks.tables import format_number
+from streetscan.calibration.keyframe_calibration import CalibrationSettings
+
+# What the reader of a calibration should know of its verdict.
+HOW_TO_READ = (
+    "How to know that a calibration is right, without truth: the clouds of lidar and camera must lie on each other at one place only, the "
+    "objects matched there must lie on the camera's surfaces, what the clouds leave open across the image must be small, image edges must "
+    "lie where the lidar sees the sides of things, nearer than when the calibration is turned, and the calibration in force must fit "
+    "worse. Beside it, look at the picture Projected: blue points belong on their objects, and depths change where the image has an "
+    "outline. Why one that is ok may still be worse than the calibration before it: no check objecting is not the same as being right. "
+    "Sides of things tell a turn to the left or right, hardly one up or down, which rests on the ground in both clouds. Smooth walls "
+    "leave open where along the street the lidar is. Equal things at equal distances fit one place further on, too. An error that both "
+    "clouds share, as of the camera's distortion or of a time stamp, is seen by nothing here, and the deviation left open holds noise "
+    "alone, no such error. Where truth is known, the tables of calibrations say how often an accepted one is wrong."
+)
+
+
+def checks_of(row: Mapping, settings: CalibrationSettings) -> list[Check]:
+    """The checks of a keyframe, in the order they are made.
+
+    Args:
+        row: of calibrate_keyframe's summary; a figure that is missing or NaN was not reached, or there is nothing to compare with.
+        settings: it was calibrated by.
+    """
+    a, q = settings.alignment, settings.quality
+    least, most = _limit(row, at_least=True), _limit(row, at_least=False)
+    lines = [
+        least("Overlap of the clouds", "overlap", a.min_overlap, "fraction"),
+        least("Lead over the next place, as a share of the overlap", "margin", a.min_margin, "fraction"),
+        _told(row, "Points of the lidar that ICP laid on the camera's surfaces", "n_icp", ""),
+        _told(row, "Scale ICP gave the camera's cloud", "scale", "fraction"),
+        least("Matched objects", "n_matched", q.min_objects, ""),
+        most("Median distance of matched objects from the camera's surfaces", "median_distance_m", q.max_distance_m, "m"),
+        most("Deviation the clouds leave open across the image", "sigma_x_px", q.max_sigma_px, "px"),
+        _told(row, "... and up and down", "sigma_y_px", "px"),
+        least("Edges: how much nearer than with the camera turned", "edge_margin_px", q.min_edge_margin_px, "px"),
+        _told(row, "Edges: distance under this calibration", "edge_px", "px"),
+        _told(row, "Edges: distance under the calibration in force", "edge_before_px", "px"),
+        _better(row),
+        _told(row, "Turn of the camera's way that edges corrected", "bend_deg", "deg"),
+    ]
+    return [line for line in lines if line is not None]
+
+
+def _limit(row: Mapping, at_least: bool):
+    sign, word = (1, "at least") if at_least else (-1, "at most")
+
+    def check(name: str, figure: str, limit: float, unit: str) -> Check:
+        value = _value(row, figure)
+        verdict = "" if pd.isna(value) else "passes" if sign * (value - limit) >= 0 else "fails"
+        return Check(name, f"{word} {_text(limit, unit)}", _found(value, unit), verdict)
+
+    return check
+
+
+def _told(row: Mapping, name: str, figure: str, unit: str) -> Check | None:
+    """What is told and refuses nothing; None where there is nothing."""
+    value = _value(row, figure)
+    return None if pd.isna(value) else Check(name, "", _text(value, unit), "")
+
+
+def _better(row: Mapping) -> Check:
+    name = "Distance of the clouds under this calibration"
+    after, before = _value(row, "distance_after_m"), _value(row, "distance_before_m")
+    if pd.isna(before):
+        return Check(name, "none is in force to be better than", _found(after, "m"), "")
+    verdict = "" if pd.isna(after) else "passes" if after < before else "fails"
+    return Check(name, f"below {_text(before, 'm')}, that under the calibration in force", _found(after, "m"), verdict)
+
+
+def _value(row: Mapping, figure: str) -> float:
+    value = row.get(figure)
+    return float("nan") if value is None or value == "" else float(value)
+
+
+def _found(value: float, unit: str) -> str:
+    return "not reached" if pd.isna(value) else _text(value, unit)
+
+
+def _text(value: float, unit: str) -> str:
+    # Distances of clouds are centimetres: two digits of a metre would hide them.
+    text = f"{value:.3f}" if unit == "m" else format_number(value, unit)
+    return text + {"fraction": "", "deg": "°", "": ""}.get(unit, f" {unit}")
