@@ -23,8 +23,7 @@ def main(
             evaluate_views `views`, per pair in `viewed`; of evaluate_registration `registrations` and `trajectories`, per pair in
             `registered`; of merge_frames `streets`, per pair in `merged`; per drive `grids` of evaluate_frames and `frames` of show_frames;
             per name in `localized` `localizations`, `localization_pictures`; per drive `reconstructions`, `detections`, `calibrations`,
-            `recalibrations`, `recalibration_figures`; per keyframe `models`, `model_summaries`, `calibrated`,
-            `verdicts`; `realism`, `densities` (see below).
+            `recalibrations`, `recalibration_figures`; per keyframe `models`, `model_summaries`, `calibrated`, `verdicts`; others by name.
         outputs: `scores`, `report` (files), `tables`, `figures` (folders). evaluated ... localized: names, their parts as in the paths.
         facts: of Table 1.2, by data set. realism: `simulated` data sets; `compared`, `not_compared`; `static_scans`: mobile data set.
     """
