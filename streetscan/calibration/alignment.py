@@ -51,7 +51,8 @@ class IcpSettings:
             gives it to half a percent. Large for a cloud without unit.
         max_scale: largest deviation that is accepted (N-230).
         is_scaled: False keeps the scale of the start, as the thesis' standard ICP does.
-        bend_std_deg: deviation of the direction structure from motion has the camera go in, once image edges have corrected it.
+        bend_std_deg: deviation of the direction structure from motion has the camera go in, where image edges tell of no error; with a
+            correction by edges it is the larger of this and what they leave open.
         min_pairs: fewer correspondences are no registration.
     """
 

@@ -34,7 +34,14 @@ from streetscan.calibration.control_curves import ControlCurves, fit_curves
 from streetscan.calibration.linear_projection import LinearProjection, View, camera_of, fit_projection, linear_of
 from streetscan.calibration.motion import LidarMotion
 from streetscan.calibration.objects import CloudObjects, ObjectSettings, count_columns, find_level, find_objects
-from streetscan.calibration.quality import EdgeCheck, QualitySettings, find_bend, hausdorff_distance, plane_distances
+from streetscan.calibration.quality import (
+    LEAST_GAIN_PX,
+    EdgeCheck,
+    QualitySettings,
+    find_bend,
+    hausdorff_distance,
+    plane_distances,
+)
 from streetscan.errors import BadInput
 from streetscan.geometry import apply, invert, transform, transform_of_rotation
 
@@ -224,8 +231,12 @@ def _straighten(
 
     Beyond the thesis. Structure from motion hardly tells a turn of all images from a way to the side; the street then comes out turned
     against the images, and no registration of clouds can see it. In the image itself the sides of posts and houses do.
+
+    A correction is kept only if the edges tell it from none and those kept for the check lie nearer for it; a street whose edges are
+    everywhere has many places where some do. Else all stays as the clouds have it.
     """
-    check, bend = EdgeCheck(c.image, points, s.quality), 0.0
+    check, before = EdgeCheck(c.image, points, s.quality), (registered, target)
+    total, icp = 0.0, s.alignment.icp
     for share in _STRAIGHTENED:
         found = find_bend(
             check,
@@ -233,9 +244,19 @@ def _straighten(
             np.radians(share * s.max_bend_deg),
             _BEND_STEP_RAD,
         )
-        bend, target = bend + found, target.straightened(found)
-        registered = refine_alignment(near, target, registered.bent(found), s.alignment.icp)
-    made.figures["bend_deg"] = float(np.degrees(bend))
+        if share == _STRAIGHTENED[0]:
+            told = {"bend_found_deg": np.degrees(found.rad), "bend_std_deg": np.degrees(found.std_rad), "bend_gain_px": found.gain_px}
+            made.figures |= {"bend_deg": 0.0} | {name: float(value) for name, value in told.items()}
+            if not found.is_clear:
+                return before
+            icp = replace(s.alignment.icp, bend_std_deg=max(s.alignment.icp.bend_std_deg, told["bend_std_deg"]))
+        total, target = total + found.rad, target.straightened(found.rad)
+        registered = refine_alignment(near, target, registered.bent(found.rad), icp)
+    # What was promised must hold for the registration that comes of it, too.
+    was, now = (check.distance_px(linear_of(c.view.T_camera_sfm @ r.T_sfm_lidar, c.view.K), True) for r in (before[0], registered))
+    if not (registered.is_converged and was - now >= LEAST_GAIN_PX):
+        return before
+    made.figures["bend_deg"] = float(np.degrees(total))
     return registered, target
 
 

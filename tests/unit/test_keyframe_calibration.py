@@ -1,5 +1,7 @@
 """A keyframe's calibration on a toy street whose sensors' places are known, and what bad input ends in."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from toy_calibration import T_CAMERA_LIDAR, changed, toy_keyframe
@@ -45,6 +47,13 @@ def test_every_stage_is_kept_and_the_first_is_the_coarsest(toy, made):
     errors = {name: np.nanmean(np.abs(project_linear(P, toy.clouds.points_lidar) - true)[seen]) for name, P in made.stages.items()}
     assert list(errors) == ["objects", "icp", "curves", "motion"]
     assert errors["motion"] < errors["objects"]
+
+
+def test_edges_do_not_ruin_what_the_clouds_had_right(toy, made):
+    straightened = calibrate_keyframe(toy.clouds, replace(SETTINGS, final="edges"))
+    assert straightened.figures["bend_deg"] == 0
+    np.testing.assert_array_equal(straightened.stages["edges"], straightened.stages["motion"])
+    np.testing.assert_array_equal(straightened.T_camera_lidar, made.T_camera_lidar)
 
 
 def test_a_cloud_that_is_two_percent_too_large_gives_the_same_mounting():
