@@ -5,7 +5,7 @@ import pytest
 
 from streetscan.calibration.alignment import prepare_target
 from streetscan.calibration.linear_projection import linear_of
-from streetscan.calibration.quality import EdgeCheck, depth_edges, find_bend, hausdorff_distance, plane_distances
+from streetscan.calibration.quality import EdgeCheck, depth_edges, find_bend, hausdorff_distance, paired_gain, plane_distances
 from streetscan.geometry import transform
 
 K = np.array([[400.0, 0, 320], [0, 400.0, 240], [0, 0, 1]])
@@ -104,6 +104,18 @@ def test_no_edge_in_view_is_no_number():
     points, image = board_and_wall()
     behind = linear_of(T_CAMERA_LIDAR @ transform(rpy_rad=(0, 0, np.pi)), K)
     assert np.isnan(EdgeCheck(image, points).distance_px(behind))
+
+
+def test_a_gain_is_paired_over_bundles():
+    counts = np.full(20, 10)
+    noise = np.random.default_rng(0).normal(0, 5, 20)
+    gain, std = paired_gain(np.stack([noise + 3.0, noise], axis=1), counts)
+    # What both have in common is no noise of the gain.
+    assert gain == pytest.approx(0.3)
+    assert std < 1e-9
+    _, std = paired_gain(np.stack([noise, np.zeros(20)], axis=1), counts)
+    assert std == pytest.approx(np.std(noise / 10) / np.sqrt(20), rel=0.3)
+    assert np.isnan(paired_gain(np.empty((0, 2)), np.empty(0, int))).all()
 
 
 def test_distances_from_planes():

@@ -69,15 +69,22 @@ def test_without_motion_the_curves_give_the_projection(toy):
     np.testing.assert_array_equal(made.projection, made.stages["curves"])
 
 
-def test_the_one_in_force_is_replaced_only_by_a_better_one(toy):
+def test_what_is_true_stays_in_force(toy):
     kept = calibrate_keyframe(changed(toy, T_initial=T_CAMERA_LIDAR), SETTINGS)
-    of_another_camera = T_CAMERA_LIDAR @ transform([0.5, 1.0, 0], (0, 0, 0.3))
-    replaced = calibrate_keyframe(changed(toy, T_initial=of_another_camera), SETTINGS)
-    # What is true cannot be bettered by more than noise.
-    assert kept.figures["distance_before_m"] == pytest.approx(kept.figures["distance_after_m"], abs=2e-3)
-    assert kept.status == ("ok" if kept.figures["distance_after_m"] < kept.figures["distance_before_m"] else "not_better")
-    assert replaced.status == "ok"
-    assert replaced.figures["distance_before_m"] > 3 * replaced.figures["distance_after_m"]
+    assert kept.status == "not_better"
+    assert abs(kept.figures["gain_m"]) < SETTINGS.quality.min_gain_m
+
+
+def test_what_is_wrong_in_force_is_replaced(toy):
+    for wrong in (transform([0.05, 0.1, 0], np.radians([0, 0, 1.0])), transform([0, 0, 0.1], np.radians([0, 1.0, 0]))):
+        replaced = calibrate_keyframe(changed(toy, T_initial=T_CAMERA_LIDAR @ wrong), SETTINGS)
+        assert replaced.status == "ok", replaced.reason
+        assert replaced.figures["distance_before_m"] > replaced.figures["distance_after_m"] + SETTINGS.quality.min_gain_m
+
+
+def test_nothing_is_compared_with_a_transform_that_is_none(toy):
+    with pytest.raises(BadInput, match="not finite"):
+        calibrate_keyframe(changed(toy, T_initial=np.full((4, 4), np.nan)), SETTINGS)
 
 
 def test_evidence_tells_a_shifted_mounting(made):
