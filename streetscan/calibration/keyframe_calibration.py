@@ -488,7 +488,9 @@ def _judge(made: KeyframeCalibration, q: QualitySettings) -> None:
         raise CalibrationFailed("far_apart", f"a median distance of {f['median_distance_m']:.3f} m of at most {q.max_distance_m:g} m")
     if not f["sigma_x_px"] <= q.max_sigma_px:
         raise CalibrationFailed("uncertain", f"a deviation of {f['sigma_x_px']:.1f} px of at most {q.max_sigma_px:g} px")
-    if f["edge_margin_px"] < q.min_edge_margin_px:
+    if not f["edge_px"] < q.max_edge_px:
+        raise CalibrationFailed("no_edges", "no image edge is near any edge that the lidar sees, or it sees none")
+    if not f["edge_margin_px"] >= q.min_edge_margin_px:
         raise CalibrationFailed("edges_disagree", f"turned, edges lie {-f['edge_margin_px']:.2f} px nearer")
     if "gain_m" in f:
         _ask_for_a_gain(f, q)

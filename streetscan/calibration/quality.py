@@ -30,6 +30,7 @@ STATUSES = {
     "no_projection": "too few points to fit a projection to",
     "uncertain": "the clouds leave open where the lidar is",
     "far_apart": "matched objects are too far from the camera's cloud",
+    "no_edges": "image or lidar show no edges to check the calibration on",
     "edges_disagree": "edges in the image do not lie where the lidar sees them",
     "not_better": "the calibration in force fits at least as well",
 }

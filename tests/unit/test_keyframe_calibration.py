@@ -6,7 +6,13 @@ import numpy as np
 import pytest
 from toy_calibration import T_CAMERA_LIDAR, changed, toy_keyframe
 
-from streetscan.calibration.keyframe_calibration import CalibrationSettings, calibrate_keyframe, evidence_distance
+from streetscan.calibration.keyframe_calibration import (
+    CalibrationFailed,
+    CalibrationSettings,
+    _judge,
+    calibrate_keyframe,
+    evidence_distance,
+)
 from streetscan.calibration.linear_projection import project_linear
 from streetscan.calibration.objects import ObjectSettings
 from streetscan.calibration.quality import QualitySettings
@@ -80,6 +86,37 @@ def test_what_is_wrong_in_force_is_replaced(toy):
         replaced = calibrate_keyframe(changed(toy, T_initial=T_CAMERA_LIDAR @ wrong), SETTINGS)
         assert replaced.status == "ok", replaced.reason
         assert replaced.figures["distance_before_m"] > replaced.figures["distance_after_m"] + SETTINGS.quality.min_gain_m
+
+
+def test_an_image_without_edges_does_not_confirm(toy):
+    made = calibrate_keyframe(changed(toy, image=np.full_like(toy.clouds.image, 100)), SETTINGS)
+    assert made.status == "no_edges"
+
+
+def test_each_gate_refuses_what_is_beyond_its_limit(made):
+    asked = {
+        "too_few_objects": {"n_matched": 0},
+        "far_apart": {"median_distance_m": 0.2},
+        "uncertain": {"sigma_x_px": 20.0},
+        "no_edges": {"edge_px": 12.0},
+        "edges_disagree": {"edge_margin_px": -0.1},
+        "not_better": {"gain_m": 0.005, "gain_std_m": 0.001, "edge_gain_px": 1.0, "edge_gain_std_px": 0.1, "distance_before_m": 0.04},
+    }
+    fine = made.figures | {"edge_margin_px": 1.0, "distance_after_m": 0.05}
+    _judge(replace(made, figures=fine), QualitySettings())
+    for status, beyond in asked.items():
+        unknown = {name: np.nan for name in beyond if name != "n_matched"}
+        for figures in (beyond, beyond | unknown):
+            with pytest.raises(CalibrationFailed) as failure:
+                _judge(replace(made, figures=fine | figures), QualitySettings())
+            assert failure.value.status == status
+
+
+def test_edges_that_lie_farther_keep_the_one_in_force(made):
+    gain = {"distance_before_m": 0.08, "distance_after_m": 0.05, "gain_m": 0.03, "gain_std_m": 0.002, "edge_margin_px": 1.0}
+    _judge(replace(made, figures=made.figures | gain | {"edge_gain_px": 0.5, "edge_gain_std_px": 0.3}), QualitySettings())
+    with pytest.raises(CalibrationFailed, match="edges gain"):
+        _judge(replace(made, figures=made.figures | gain | {"edge_gain_px": -1.0, "edge_gain_std_px": 0.3}), QualitySettings())
 
 
 def test_nothing_is_compared_with_a_transform_that_is_none(toy):
