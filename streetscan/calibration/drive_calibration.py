@@ -32,7 +32,7 @@ class DriveCalibrationSettings:
         n_known: keyframes they count as.
         n_bootstrap: samples of keyframes drawn for the bootstrap.
         max_deviation: a keyframe that is off by more deviations, on the mean of its six, is wrong, or the mounting has moved. ASSUME: 1.8;
-            one in a thousand is as far off by chance.
+            four in a thousand are as far off by chance, if errors are normal (chi-squared of six).
         min_gain: share by which a keyframe must lie nearer than the calibration in force to replace it.
     """
 
