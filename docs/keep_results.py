@@ -14,6 +14,8 @@ import numpy as np
 import pandas as pd
 import yaml
 
+from streetscan.simulation.layout import GENERATOR_VERSION
+
 HOME = Path(__file__).resolve().parent.parent
 KEPT = HOME / "docs" / "results"
 MAX_BYTES = 5_000_000
@@ -52,11 +54,33 @@ def shrink_report(html: str) -> str:
     return re.sub(r"data:image/(?:png|jpeg|webp);base64,([A-Za-z0-9+/=]+)", smaller, html)
 
 
+def ship_weights(name: str, run: str, commit: str, target: Path) -> None:
+    """Copy a trained network into weights/, with where it comes from and how good it is.
+
+    Args:
+        name: `<data set>/<model>`, a network of this checkout's results/.
+        run: a run whose tables score it.
+        commit: of this checkout.
+        target: folder to fill.
+    """
+    dataset, model = name.split("/")
+    for file in ("weights.safetensors", "settings.yaml"):
+        shutil.copy(HOME / "results/calibrate_segmenter" / name / file, target / file)
+    scores = pd.read_csv(HOME / "results/tabulate_benchmarks" / run / "scores.csv", dtype={"seed": str})
+    own = scores[(scores["table"] == "nagy_2_3") & (scores["dataset"] == dataset) & scores["column"].eq(f"{model} f")]
+    origin = {
+        "network": name, "run": run, "commit": commit, "generator_version": GENERATOR_VERSION, "seed": own["seed"].iloc[0],
+        "f_even_percent": {row: round(float(f), 1) for row, f in zip(own["row"], own["ours"], strict=True)},
+    }  # fmt: skip
+    (target / "origin.yaml").write_text(yaml.safe_dump(origin, sort_keys=False))
+
+
 def main() -> None:
     """Copy the runs named on the command line (all finished ones by default), and bench.csv where there is one."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("runs", nargs="*")
     parser.add_argument("--command", help="what was typed, where it was not `make run CONFIG=config/<run>.yaml`")
+    parser.add_argument("--ship", metavar="DATASET/MODEL", help="make this network of the first run named the one in weights/c2cnn/")
     arguments = parser.parse_args()
     finished = sorted(p.parent.name for p in (HOME / "results/tabulate_benchmarks").glob("*/report.html"))
     commit = subprocess.run(["git", "rev-parse", "HEAD"], cwd=HOME, check=True, capture_output=True, text=True).stdout.strip()
@@ -76,6 +100,8 @@ def main() -> None:
         ]
         (target / "run.txt").write_text("\n".join(lines) + "\n")
         print(f"kept run {run}")
+    if arguments.ship:
+        ship_weights(arguments.ship, (arguments.runs or finished)[0], commit, HOME / "weights/c2cnn")
     if (HOME / "results/bench.csv").is_file():
         shutil.copy(HOME / "results/bench.csv", KEPT)
         (KEPT / "bench.txt").write_text(f"command: make bench\ncommit: {commit}\nhardware: {describe_hardware()}\n")

@@ -7,10 +7,9 @@ import pandas as pd
 from streetscan.calibration.calibration_files import read_clouds, summarize, write_calibration
 from streetscan.calibration.calibration_pictures import write_pictures
 from streetscan.calibration.keyframe_calibration import CalibrationSettings, KeyframeCalibration, calibrate_keyframe
-from streetscan.calibration.keyframes import read_keyframes
+from streetscan.calibration.keyframes import find_camera, read_keyframes
 from streetscan.io.arrays import save_npz
 from streetscan.io.atomic import atomic_folder
-from streetscan.io.mcap import read_camera_model
 from streetscan.io.tables import save_tables
 from streetscan.localization.settings import build
 from streetscan.logs import logged
@@ -38,7 +37,7 @@ def main(
             clouds = read_clouds(drive_path, chosen, model_folder, read_pose_table(poses_path), dynamic_folder)
             made = calibrate_keyframe(clouds, build(CalibrationSettings, settings, "calibrate_keyframe.settings"))
             write_pictures(pictures, made, clouds)
-        write_calibration(calibration_path, made, chosen, int(model.reference), read_camera_model(drive_path))
+        write_calibration(calibration_path, made, chosen, int(model.reference), find_camera(drive_path))
         save_npz(evidence_path, evidence=made.evidence)
         save_tables({summary_path: summarize(made, keyframe)})
 

@@ -26,12 +26,12 @@ def main(
         max_range_m: of `evaluate_keyframe`.
     """
     summaries = [pd.read_csv(path, dtype={"keyframe": str}) for path in summary_paths]
-    true_ranges = None
+    true_surfaces = None
     if street is not None and any(s.n_dense[0] > 0 for s in summaries):
         facts = read_drive_facts(facts_path, schema_path)
-        true_ranges = SimulatedRecording(facts, drive, street, seed, data_root, f"{scores_path}.resume", n_threads).true_ranges
+        true_surfaces = SimulatedRecording(facts, drive, street, seed, data_root, f"{scores_path}.resume", n_threads).true_surfaces
     errors = [
-        evaluate_keyframe(summary.iloc[0], folder, truth_folder, true_ranges, max_range_m)
+        evaluate_keyframe(summary.iloc[0], folder, truth_folder, true_surfaces, max_range_m)
         for summary, folder in zip(summaries, model_folders, strict=True)
     ]
     table = join_summaries(summaries, errors)

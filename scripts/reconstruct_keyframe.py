@@ -2,12 +2,11 @@
 
 from pathlib import Path
 
-from streetscan.calibration.keyframes import read_keyframe_images, read_keyframes
+from streetscan.calibration.keyframes import read_camera, read_keyframe_images, read_keyframes
 from streetscan.calibration.model_files import summarize, write_model
 from streetscan.calibration.model_pictures import write_pictures
-from streetscan.calibration.reconstruction import Reconstruction, make_reconstruction_settings, read_masks, reconstruct_keyframe
+from streetscan.calibration.reconstruction import begin, make_reconstruction_settings, read_masks, reconstruct_keyframe
 from streetscan.io.atomic import atomic_folder
-from streetscan.io.mcap import read_camera_model
 from streetscan.io.tables import save_tables
 from streetscan.logs import logged
 from streetscan.registration.pose_tables import read_pose_table
@@ -26,10 +25,11 @@ def main(
         settings: keys of ReconstructionSettings.
         seed, n_threads: of `reconstruct_keyframe`.
     """
-    chosen, camera = read_keyframes(keyframes_path)[keyframe], read_camera_model(drive_path)
+    chosen = read_keyframes(keyframes_path)[keyframe]
     with atomic_folder(model_folder) as partial:
-        made = Reconstruction(chosen.status, chosen.reason)
-        if chosen.status == "ok":
+        made = begin(chosen, masks_folder)
+        if made.status == "ok":
+            camera = read_camera(drive_path)
             images, masks = read_keyframe_images(drive_path, chosen), read_masks(masks_folder, keyframe)
             times = chosen.image_times_ns, chosen.lidar_time_ns
             inputs = images, *times, camera, read_pose_table(poses_path), masks

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 
 from streetscan.frames import CameraImage, CameraModel, LidarFrame
-from streetscan.geometry import invert, transform_of_rotation
+from streetscan.geometry import invert, transform, transform_of_rotation
 from streetscan.io.images import encode_png
 from streetscan.io.mcap import open_drive_writer
 from streetscan.registration.odometry import FramePose
@@ -72,8 +72,8 @@ def lidar_poses(n_images: int) -> list[FramePose]:
     """Poses of a lidar that sits at the camera, at 10 Hz, as many frames before and after the images as they last."""
     poses = []
     for i in range(-n_images, 2 * n_images):
-        T = np.eye(4)
-        T[:3, 3] = 0.5 * i, 0, 0
+        # As the camera of `forward_poses` turns, about the lidar's z instead of the camera's y.
+        T = transform([0.5 * i, 0, 0], [0, 0, -0.006 * i])
         poses.append(FramePose(i + n_images, START_S + 0.1 * i, "ok", 0, T_segment_lidar=T))
     return poses
 

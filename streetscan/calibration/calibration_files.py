@@ -102,15 +102,17 @@ def read_initial(drive_path: str | Path) -> np.ndarray | None:
     return None
 
 
-def describe_camera(camera: CameraModel) -> dict:
-    """ROS camera_info fields of the rectified images as plain values."""
+def describe_camera(camera: CameraModel | None) -> dict:
+    """ROS camera_info fields of the rectified images as plain values; empty without usable intrinsics."""
+    if camera is None:
+        return {}
     return {
         "image_width": camera.width, "image_height": camera.height, "distortion_model": "plumb_bob", "distortion_coefficients": [0.0] * 5,
         "camera_matrix": camera.K.tolist(), "rectification_matrix": np.eye(3).tolist(), "pixel_centres": "at integers",
     }  # fmt: skip
 
 
-def write_calibration(path: str | Path, made: KeyframeCalibration, keyframe: Keyframe, reference: int, camera: CameraModel) -> None:
+def write_calibration(path: str | Path, made: KeyframeCalibration, keyframe: Keyframe, reference: int, camera: CameraModel | None) -> None:
     """Write a keyframe's calibration as YAML, `reference` being its image that counts (-1: none); what was not found is null."""
     image_time_ns = keyframe.image_times_ns[reference] if reference >= 0 else None
     found = describe_camera(camera) | {"status": made.status, "reason": made.reason}
@@ -151,7 +153,9 @@ def read_results(
     return results
 
 
-def write_drive_calibration(path: str | Path, made: DriveCalibration, results: Sequence[KeyframeResult], camera: CameraModel) -> None:
+def write_drive_calibration(
+    path: str | Path, made: DriveCalibration, results: Sequence[KeyframeResult], camera: CameraModel | None
+) -> None:
     """Write a drive's calibration as YAML; null where no keyframe was accepted."""
     is_found = made.status == "ok"
     sigmas = np.sqrt(np.diag(made.covariance))

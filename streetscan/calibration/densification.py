@@ -23,8 +23,9 @@ import numba
 import numpy as np
 from numba import njit, prange
 from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
+from scipy.spatial import QhullError
 
-from streetscan.calibration.sfm import SparseModel
+from streetscan.calibration.sfm import ReconstructionFailed, SparseModel
 from streetscan.errors import BadInput
 
 # Costs above this count as this: a patch that is hidden in an image says nothing more than that.
@@ -120,13 +121,19 @@ def densify(
         settings: see DensificationSettings.
         seed: of the changes that are tried.
         n_threads: of the depth maps; changes no number.
+    Raises:
+        ReconstructionFailed: `not_dense` when fewer maps than must agree on a point can be started, since images see too few static points.
     """
     numba.set_num_threads(min(n_threads, numba.config.NUMBA_NUM_THREADS))
     used = np.flatnonzero(model.is_registered)
     greys = np.stack([cv2.cvtColor(images[i], cv2.COLOR_RGB2GRAY) for i in used]).astype(np.float32)
     poses = model.T_camera_sfm[used]
     places = np.unique(np.linspace(0, len(used) - 1, settings.n_maps).round().astype(int))
-    maps = [_depth_map(int(place), greys, K, poses, used, model, settings, seed) for place in places]
+    starts = {int(place): _start_planes(place, greys.shape[1:], poses, used, model, settings) for place in places}
+    maps = [_depth_map(place, greys, K, poses, *start, settings, seed) for place, start in starts.items() if start is not None]
+    if len(maps) < settings.min_views:
+        found = f"{len(maps)} of {len(places)} images see enough static points; {settings.min_views} or more are needed"
+        raise ReconstructionFailed("not_dense", found)
     return _fuse(maps, [images[i] for i in used], K, poses, None if masks is None else masks[used], settings)
 
 
@@ -144,12 +151,11 @@ def _projection(K: np.ndarray, T_source: np.ndarray, T_reference: np.ndarray) ->
     return K @ T[:3, :3] @ np.linalg.inv(K), K @ T[:3, 3]
 
 
-def _depth_map(place: int, greys, K, poses, used, model: SparseModel, s: DensificationSettings, seed: int) -> DepthMap:
-    """PatchMatch of one image; `place` counts the registered images."""
+def _depth_map(place: int, greys, K, poses, planes, limit: float, s: DensificationSettings, seed: int) -> DepthMap:
+    """PatchMatch of one image from its first planes; `place` counts the registered images."""
     sources = _sources(place, len(poses), s.n_sources)
     pairs = [_projection(K, poses[i], poses[place]) for i in sources]
     A, b = (np.ascontiguousarray(np.stack(m), np.float64) for m in zip(*pairs, strict=True))
-    planes, limit = _start_planes(place, greys.shape[1:], poses, used, model, s)
     is_textured = _texture(greys[place], s)
     cost = np.full(planes.shape[:2], _BAD, np.float32)
     arguments = (greys[place], greys[sources], A, b, s.step_px, s.patch_radius, s.patch_step_px)
@@ -178,16 +184,25 @@ def _drop_far(inverse: np.ndarray, pairs, s: DensificationSettings) -> np.ndarra
     return np.where(parallax.reshape(inverse.shape) >= s.min_parallax_px, inverse, 0).astype(np.float32)
 
 
-def _start_planes(place: int, size, poses, used, model: SparseModel, s: DensificationSettings) -> tuple[np.ndarray, float]:
-    """Planes (h, w, 3) float32 from the sparse points the image observes, and the largest inverse depth that is tried."""
+def _start_planes(place: int, size, poses, used, model: SparseModel, s: DensificationSettings) -> tuple[np.ndarray, float] | None:
+    """Planes (h, w, 3) float32 from the sparse points the image observes, and the largest inverse depth that is tried.
+
+    None where the points in front of the camera are fewer than three, or lie on one line of the image.
+    """
     rows = (model.image_of == used[place]) & (model.labels[model.point_of] == 0)
     pixels, points = model.pixels[rows], model.points[model.point_of[rows]]
     depths = points @ poses[place][2, :3] + poses[place][2, 3]
     pixels, inverse = pixels[depths > 0], 1 / depths[depths > 0]
+    if len(pixels) < 3:
+        return None
+    try:
+        interpolate = LinearNDInterpolator(pixels, inverse)
+    except QhullError:
+        return None
     grid = np.mgrid[0 : size[0] : s.step_px, 0 : size[1] : s.step_px]
     where = np.stack([grid[1], grid[0]], axis=-1).astype(np.float64)
     values = NearestNDInterpolator(pixels, inverse)(where)
-    linear = LinearNDInterpolator(pixels, inverse)(where) if len(pixels) > 3 else np.full(values.shape, np.nan)
+    linear = interpolate(where)
     values = np.where(np.isnan(linear), values, linear)
     slopes = np.gradient(values, s.step_px)
     planes = np.stack([values, slopes[1], slopes[0]], axis=-1).astype(np.float32)

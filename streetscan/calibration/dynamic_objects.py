@@ -3,6 +3,8 @@
 Source: Nagy (2020), 4.3.1 (2) and 4.3.2.1, Fig. 4.3a and 4.6b; N-205, N-215.
 """
 
+import logging
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,7 +14,10 @@ import numpy as np
 from streetscan.calibration.detectors.image_detections import ImageDetections, ImageDetector
 from streetscan.calibration.detectors.lidar_boxes import LidarDetections, LidarDetector, points_in_boxes
 from streetscan.classes import CLASSES
+from streetscan.errors import BadInput
 from streetscan.io.arrays import load_npz, save_npz
+
+logger = logging.getLogger(__name__)
 
 _TOP_RANGE_M, _TOP_PIXELS_PER_M = 30.0, 14
 _GREY, _RED = (150, 150, 150), (220, 20, 60)
@@ -26,20 +31,29 @@ class DynamicPixels:
         classes: (n, H, W) uint8, label of `streetscan.classes`; 0 stands still.
         instances: (n, H, W) uint16, 0 none; numbers go on from image to image, so that `scores[k - 1]` is that of object k.
         scores: (K,) float32.
+        problem: why the keyframe's detectors could not be used; empty where they could.
     """
 
     classes: np.ndarray
     instances: np.ndarray
     scores: np.ndarray
+    problem: str = ""
 
     def save(self, path: str | Path) -> None:
         """Write as .npz, compressed."""
-        save_npz(path, is_packed=True, classes=self.classes, instances=self.instances, scores=self.scores)
+        arrays = {"classes": self.classes, "instances": self.instances, "scores": self.scores, "problem": np.array(self.problem)}
+        save_npz(path, is_packed=True, **arrays)
 
     @classmethod
     def load(cls, path: str | Path) -> "DynamicPixels":
         """Read what `save` wrote. BadInput when it is something else."""
-        return cls(*load_npz(path, ("classes", "instances", "scores"), "detect_dynamic"))
+        *arrays, problem = load_npz(path, ("classes", "instances", "scores", "problem"), "detect_dynamic")
+        return cls(*arrays, str(problem))
+
+    @classmethod
+    def nothing(cls, problem: str = "") -> "DynamicPixels":
+        """Of no images."""
+        return cls(np.zeros((0, 0, 0), np.uint8), np.zeros((0, 0, 0), np.uint16), np.zeros(0, np.float32), problem)
 
 
 @dataclass
@@ -71,7 +85,7 @@ class DynamicPoints:
 def find_dynamic_pixels(detector: ImageDetector, images: list[np.ndarray]) -> DynamicPixels:
     """The moving things of images (H, W, 3) uint8 RGB of one size; of none, arrays of length 0."""
     if not images:
-        return DynamicPixels(np.zeros((0, 0, 0), np.uint8), np.zeros((0, 0, 0), np.uint16), np.zeros(0, np.float32))
+        return DynamicPixels.nothing()
     found, n_before = [], 0
     for image in images:
         one = detector.detect(image)
@@ -81,6 +95,35 @@ def find_dynamic_pixels(detector: ImageDetector, images: list[np.ndarray]) -> Dy
     return DynamicPixels(
         np.stack([f.classes for f in found]), np.stack([f.instances for f in found]), np.concatenate([f.scores for f in found])
     )
+
+
+class KeyframeDetector:
+    """Both detectors. Files of another network, or one that cannot take what it is given, become the `problem` of every keyframe.
+
+    Args:
+        open_detectors: gives the detectors of images and of lidar frames; its BadInput is the problem.
+        margin_m, foot_m: as in `points_in_boxes`.
+    """
+
+    def __init__(self, open_detectors: Callable[[], tuple[ImageDetector, LidarDetector]], margin_m: float, foot_m: float):
+        self._in_boxes, self._problem = (margin_m, foot_m), ""
+        try:
+            self._of_images, self._of_points = open_detectors()
+        except BadInput as error:
+            self._problem = str(error)
+            logger.warning("nothing is detected: %s", error)
+
+    def detect(self, images: list[np.ndarray], points: np.ndarray, intensity: np.ndarray | None) -> tuple[DynamicPixels, DynamicPoints]:
+        """The moving things of a keyframe's images and lidar frame; none, and why, where the detectors cannot be used."""
+        problem = self._problem
+        try:
+            if not problem:
+                of_points = find_dynamic_points(self._of_points, points, intensity, *self._in_boxes)
+                return find_dynamic_pixels(self._of_images, images), of_points
+        except BadInput as error:
+            problem = str(error)
+        boxes = np.zeros((0, 7), np.float32), np.zeros(0, np.uint8), np.zeros(0, np.float32)
+        return DynamicPixels.nothing(problem), DynamicPoints(np.zeros(len(points), bool), *boxes)
 
 
 def find_dynamic_points(
@@ -96,7 +139,8 @@ def find_dynamic_points(
 def draw_keyframe(images: list[np.ndarray], pixels: DynamicPixels, points: np.ndarray, found: DynamicPoints) -> np.ndarray:
     """(H, W, 3) uint8 RGB: the first and the last image with their moving things in the classes' colours, outlined one by one, and the
     lidar frame from above, moving points red, with its boxes; forward is up."""
-    shown = [overlay(images[k], pixels.classes[k], pixels.instances[k]) for k in sorted({0, len(images) - 1}) if images]
+    ends = sorted({0, len(images) - 1}) if images else []
+    shown = [overlay(images[k], pixels.classes[k], pixels.instances[k]) if len(pixels.classes) else images[k] for k in ends]
     top = draw_from_above(points, found)
     height = top.shape[0]
     scaled = [cv2.resize(s, (round(s.shape[1] * height / 2 / s.shape[0]), height // 2), interpolation=cv2.INTER_AREA) for s in shown]

@@ -60,6 +60,8 @@ def describe_cameras(made: Reconstruction, camera: CameraModel, image_times_ns: 
             "std": made.scale.std,
             "lever_m": made.scale.lever_m.tolist(),
             "way_m": made.scale.way_m,
+            "misfit_m": made.scale.misfit_m,
+            "turn_off_deg": made.scale.turn_off_deg,
         }
         found["scale"] = scale
     return found
@@ -77,6 +79,8 @@ def summarize(made: Reconstruction, keyframe: int, n_images: int) -> pd.DataFram
         **{f"{selection}_error_px": made.selection_errors_px.get(selection, nan) for selection in SELECTIONS},
         "n_dense": len(made.dense) if made.dense else 0, "n_dense_dynamic": int((made.dense.labels > 0).sum()) if made.dense else 0,
         "scale_std": made.scale.std / made.scale.value if made.scale else nan, "way_m": made.scale.way_m if made.scale else nan,
+        "way_misfit": made.scale.misfit_m / made.scale.way_m if made.scale else nan,
+        "turn_off_deg": made.scale.turn_off_deg if made.scale else nan,
     }  # fmt: skip
     return pd.DataFrame([row | {f"{stage}_s": round(made.seconds.get(stage, nan), 2) for stage in STAGES}])
 

@@ -2,9 +2,9 @@
 
 Source: Nagy (2020), 4.3.1 (5) (M = 45 points, chosen by point density, labels not dynamic; N-209, N-211) and 4.4.2 (N-231).
 
-ASSUME: the density of a point is the number of other static points observed within `radius_px` of it in the same image, and the M densest
-are taken that are no nearer to each other than that: without, all lie in one spot, and the rest of the image is pixels off. Points spread
-over the image (`spread`: each the one farthest from those taken) are the alternative.
+ASSUME: the density of a point is the number of other static points observed within `radius_px` of it in the same image. The M densest
+(`density`, the thesis to the letter) all lie in one spot, and the rest of the image is pixels off; so ours are the densest that are no
+nearer to each other than that (`spaced`). Points spread over the image (`spread`: each the one farthest from those taken) are a third way.
 """
 
 from dataclasses import dataclass
@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 
 from streetscan.errors import BadInput
 
-SELECTIONS = ("density", "spread")
+SELECTIONS = ("density", "spaced", "spread")
 
 
 @dataclass(frozen=True)
@@ -24,13 +24,13 @@ class ProjectionSettings:
 
     Attributes:
         n_points: M of the thesis (45).
-        selection: `density` (thesis) or `spread`.
+        selection: `density` (thesis), `spaced` or `spread`.
         radius_px: within which neighbours are counted.
         max_error_px: a larger mean reprojection error refuses the keyframe (thesis: 2).
     """
 
     n_points: int = 45
-    selection: str = "density"
+    selection: str = "spaced"
     radius_px: float = 50.0
     max_error_px: float = 2.0
 
@@ -79,8 +79,8 @@ def estimate_projection(
     """
     if len(points) < 4:
         raise ValueError(f"{len(points)} static points in the image; four or more are needed")
-    choose = choose_dense if settings.selection == "density" else choose_spread
-    chosen = choose(pixels, settings.n_points, settings.radius_px) if settings.selection == "density" else choose(pixels, settings.n_points)
+    choose = {"density": choose_dense, "spaced": choose_spaced, "spread": choose_spread}[settings.selection]
+    chosen = choose(pixels, settings.n_points, settings.radius_px)
     # EPnP is better conditioned around the points' own middle.
     middle = points[chosen].mean(axis=0)
     found, turn, shift = cv2.solvePnP(points[chosen] - middle, pixels[chosen], K, None, flags=cv2.SOLVEPNP_EPNP)
@@ -100,13 +100,16 @@ def project_pinhole(points: np.ndarray, K: np.ndarray, T_camera_frame: np.ndarra
 
 
 def choose_dense(pixels: np.ndarray, n_points: int, radius_px: float) -> np.ndarray:
-    """Rows of the points with the most others within a radius, densest first, the earlier row where they are alike.
+    """Rows of the points with the most others within a radius, densest first, the earlier row where they are alike."""
+    return _by_density(pixels, radius_px)[0][:n_points]
 
-    Of the denser half, none within the radius of one taken before; the rest fills up what is missing.
+
+def choose_spaced(pixels: np.ndarray, n_points: int, radius_px: float) -> np.ndarray:
+    """Rows of the densest points as in `choose_dense`, of the denser half none within the radius of one taken before.
+
+    The rest fills up what is missing.
     """
-    near = cKDTree(pixels).query_ball_point(pixels, radius_px)
-    n_near = np.array([len(rows) for rows in near])
-    order = np.lexsort((np.arange(len(pixels)), -n_near))
+    order, near, n_near = _by_density(pixels, radius_px)
     chosen, is_near = [], n_near < np.median(n_near)
     for row in order:
         if not is_near[row]:
@@ -115,11 +118,21 @@ def choose_dense(pixels: np.ndarray, n_points: int, radius_px: float) -> np.ndar
     return np.array([*chosen, *order[~np.isin(order, chosen)]], np.int64)[:n_points]
 
 
-def choose_spread(pixels: np.ndarray, n_points: int) -> np.ndarray:
-    """Rows of points spread over the image: the first is nearest to the middle of all, each further one farthest from those taken."""
+def choose_spread(pixels: np.ndarray, n_points: int, radius_px: float = 0.0) -> np.ndarray:
+    """Rows of points spread over the image: the first is nearest to the middle of all, each further one farthest from those taken.
+
+    A radius plays no part.
+    """
     chosen = [int(np.argmin(np.linalg.norm(pixels - pixels.mean(axis=0), axis=1)))]
     distance = np.linalg.norm(pixels - pixels[chosen[0]], axis=1)
     while len(chosen) < min(n_points, len(pixels)):
         chosen.append(int(np.argmax(distance)))
         distance = np.minimum(distance, np.linalg.norm(pixels - pixels[chosen[-1]], axis=1))
     return np.array(chosen)
+
+
+def _by_density(pixels: np.ndarray, radius_px: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Rows of the points (n, 2) from the densest on, the rows near each point, and their number."""
+    near = cKDTree(pixels).query_ball_point(pixels, radius_px)
+    n_near = np.array([len(rows) for rows in near])
+    return np.lexsort((np.arange(len(pixels)), -n_near)), near, n_near

@@ -9,17 +9,16 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
-from zipfile import BadZipFile
 
 import numpy as np
 
 from streetscan.calibration.densification import DenseCloud, DensificationSettings, densify
+from streetscan.calibration.dynamic_objects import DynamicPixels
+from streetscan.calibration.keyframes import Keyframe
 from streetscan.calibration.projection import SELECTIONS, Projection, ProjectionSettings, estimate_projection
 from streetscan.calibration.scale import NoScale, Scale, ScaleSettings, estimate_scale
 from streetscan.calibration.sfm import ReconstructionFailed, SfmSettings, SparseModel, reconstruct
-from streetscan.errors import BadInput
 from streetscan.frames import CameraModel
-from streetscan.io.files import find_file
 from streetscan.localization.settings import build
 from streetscan.registration.odometry import FramePose
 
@@ -28,11 +27,14 @@ logger = logging.getLogger(__name__)
 # What can be the matter with a reconstruction, beside the statuses of keyframes.
 STATUSES = {
     "ok": "accepted",
+    "bad_detector": "the detectors of moving things cannot be used",
     "bad_images": "fewer than three images, or of different sizes",
     "not_matched": "the images have nothing in common",
     "not_registered": "no cameras can be found",
     "no_reference": "the image nearest to the lidar frame was not registered, or observes too few static points",
     "no_scale": "the lidar's motion does not tell the scale; the clouds have no unit",
+    "disagrees": "the cameras turned otherwise than the lidar",
+    "not_dense": "too few images see enough static points to begin from",
     "inaccurate": "the points do not lie where the image shows them",
 }
 
@@ -58,7 +60,7 @@ class Reconstruction:
         sparse: cameras and points, frame `camera` of the reference image, metres (no unit for `no_scale`).
         dense: the fused cloud in the same frame.
         projection: T1.
-        selection_errors_px: mean error of T1 from points chosen by density (thesis) and spread over the image, for comparison.
+        selection_errors_px: mean error of T1 from points chosen in each way of `projection.SELECTIONS`, for comparison.
         scale: metres per unit of structure from motion; None for `no_scale`.
         seconds: wall time of each stage.
     """
@@ -72,6 +74,11 @@ class Reconstruction:
     selection_errors_px: dict[str, float] = field(default_factory=dict)
     scale: Scale | None = None
     seconds: dict[str, float] = field(default_factory=dict)
+
+    def refuse(self, status: str, reason: str) -> None:
+        """Something is the matter; what was found first stays the status, and every reason is kept."""
+        self.status = status if self.status == "ok" else self.status
+        self.reason = "; ".join(filter(None, (self.reason, reason)))
 
 
 def make_reconstruction_settings(values: Mapping[str, Any]) -> ReconstructionSettings:
@@ -120,9 +127,24 @@ def reconstruct_keyframe(
         timed("projection", _project, made, model, camera, settings.projection)
         made.dense = timed("densification", densify, images, camera.K, model, masks, settings.densification, seed, n_threads)
     except ReconstructionFailed as failure:
-        made.status, made.reason = failure.status, str(failure)
+        made.refuse(failure.status, str(failure))
     stages = ", ".join(f"{stage} {seconds:.1f} s" for stage, seconds in made.seconds.items())
     logger.info("%s%s; %s", made.status, f" ({made.reason})" if made.reason else "", stages)
+    return made
+
+
+def begin(keyframe: Keyframe, masks_folder: str | Path | None) -> Reconstruction:
+    """Nothing made yet of a keyframe; the status says whether there is anything to make it of.
+
+    Args:
+        keyframe: of choose_keyframes.
+        masks_folder: of detect_dynamic; None marks nothing.
+    """
+    made = Reconstruction(keyframe.status, keyframe.reason)
+    if made.status == "ok" and masks_folder is not None:
+        problem = DynamicPixels.load(Path(masks_folder) / f"{keyframe.index:02d}.npz").problem
+        if problem:
+            made.refuse("bad_detector", problem)
     return made
 
 
@@ -134,12 +156,7 @@ def read_masks(folder: str | Path | None, keyframe: int) -> np.ndarray | None:
     """
     if folder is None:
         return None
-    path = find_file(Path(folder) / f"{keyframe:02d}.npz")
-    try:
-        with np.load(path) as stored:
-            return stored["classes"]
-    except (OSError, ValueError, KeyError, BadZipFile) as error:
-        raise BadInput(path, f"holds no masks ({error})", "run detect_dynamic again") from error
+    return DynamicPixels.load(Path(folder) / f"{keyframe:02d}.npz").classes
 
 
 def _make_metric(made: Reconstruction, model: SparseModel, times_s: np.ndarray, poses: list[FramePose], s: ScaleSettings) -> SparseModel:
@@ -150,8 +167,11 @@ def _make_metric(made: Reconstruction, model: SparseModel, times_s: np.ndarray, 
     try:
         made.scale = estimate_scale(model.T_camera_sfm, times_s, poses, s)
         factor = made.scale.value
+        if made.scale.turn_off_deg > s.max_turn_deg:
+            found = f"between two images the turns of cameras and lidar differ by {made.scale.turn_off_deg:.2f} deg"
+            made.refuse("disagrees", f"{found} of at most {s.max_turn_deg:g}")
     except NoScale as reason:
-        made.status, made.reason = "no_scale", str(reason)
+        made.refuse("no_scale", str(reason))
     T = model.T_camera_sfm[made.reference].copy()
     T[:3] *= factor
     return model.transformed(T)
@@ -172,5 +192,4 @@ def _project(made: Reconstruction, model: SparseModel, camera: CameraModel, s: P
     made.projection = found[s.selection]
     made.selection_errors_px = {selection: projection.mean_error_px for selection, projection in found.items()}
     if not made.projection.mean_error_px < s.max_error_px:
-        made.status = "inaccurate"
-        made.reason = f"a mean reprojection error of {made.projection.mean_error_px:.2f} px of at most {s.max_error_px:g}"
+        made.refuse("inaccurate", f"a mean reprojection error of {made.projection.mean_error_px:.2f} px of at most {s.max_error_px:g}")

@@ -19,7 +19,7 @@ import numpy as np
 import pandas as pd
 
 from streetscan import geometry
-from streetscan.classes import NAMES
+from streetscan.classes import NAMES, UNLABELLED
 from streetscan.drives import CameraFacts, DriveFacts, Record, TruthFacts, truth_of_camera
 from streetscan.errors import BadInput
 from streetscan.frames import CAMERA, CameraImage, LidarFrame, Mounting, nanoseconds
@@ -272,14 +272,19 @@ class SimulatedRecording:
         """T_camera_lidar (4, 4)."""
         return geometry.invert(T_vehicle_camera) @ self._lidar.T_vehicle_lidar
 
-    def true_ranges(self, stamp_ns: int, directions: np.ndarray) -> np.ndarray:
-        """How far the camera sees at an image's stamp: metres (N,) along directions (N, 3) in frame `camera`; inf where nothing is hit."""
+    def true_surfaces(self, stamp_ns: int, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """What the camera sees at an image's stamp along directions (N, 3) in frame `camera`.
+
+        Returns:
+            distances (N,) in metres and classes (N,) uint8 of `streetscan.classes`; inf and 255 where nothing is hit.
+        """
         mount = self._drive.cameras[CAMERA]
         time_s = (stamp_ns - self._start_ns) / _NS - mount.time_offset_s
         T_map_camera = self._vehicle_poses(np.array([time_s]))[0] @ mount.T_vehicle_camera_at(time_s)
         rays = directions / np.linalg.norm(directions, axis=1, keepdims=True) @ T_map_camera[:3, :3].T
         origins = np.tile(T_map_camera[:3, 3], (len(rays), 1))
-        return self._caster.cast(origins, rays, np.full(len(rays), time_s)).distances_m
+        hits = self._caster.cast(origins, rays, np.full(len(rays), time_s))
+        return hits.distances_m, np.where(hits.faces >= 0, self._caster.labels[hits.faces], UNLABELLED)
 
     def write_truth(self, folder: Path, times_ns: list[int]) -> dict:
         """Write the vehicle's trajectory, the objects' motion and what changed in the street; says in a mapping what there is."""

@@ -4,6 +4,7 @@ import numpy as np
 import pandas as pd
 import yaml
 from toy_calibration import T_CAMERA_LIDAR, calibrate_toy, combine_toy
+from toy_drives import write_drive
 
 
 def test_the_drive_has_a_calibration_with_its_deviation(tmp_path, toy_inputs, calibrated):
@@ -23,3 +24,13 @@ def test_without_an_accepted_keyframe_it_has_none(tmp_path, toy_inputs):
     found = yaml.safe_load(outputs["calibration_path"].read_text())
     assert (found["status"], found["keyframes"], found["T_camera_lidar"]) == ("no_keyframes", {"not_matched": 1}, None)
     assert pd.read_csv(outputs["history_path"])["action"].tolist() == ["none"]
+
+
+def test_a_drive_without_intrinsics_goes_through(tmp_path, toy_inputs):
+    (tmp_path / "summary.csv").write_text("keyframe,status,reason,reference\n00,bad_intrinsics,no intrinsics,-1\n")
+    write_drive(tmp_path / "bare.mcap", [np.ones((3, 3), np.float32)])
+    inputs = toy_inputs | {"model_summary_path": tmp_path / "summary.csv", "drive_path": tmp_path / "bare.mcap"}
+    refused = calibrate_toy(tmp_path, inputs)
+    found = yaml.safe_load(combine_toy(tmp_path, inputs, refused)["calibration_path"].read_text())
+    assert (found["status"], found["keyframes"]) == ("no_keyframes", {"bad_intrinsics": 1})
+    assert "camera_matrix" not in found

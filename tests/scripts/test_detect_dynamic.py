@@ -8,7 +8,6 @@ from toy_detections import HEIGHT, START_NS, WIDTH
 from scripts import detect_dynamic
 from streetscan.calibration.dynamic_objects import DynamicPixels, DynamicPoints, draw_keyframe
 from streetscan.calibration.keyframes import Keyframe, tabulate_keyframes
-from streetscan.errors import BadInput
 
 
 @pytest.fixture
@@ -34,6 +33,7 @@ def test_files_of_every_keyframe(detection_drive, keyframes, detectors, tmp_path
     assert pixels.classes.dtype == np.uint8
     assert pixels.instances.dtype == np.uint16
     assert pixels.instances.max() == len(pixels.scores)
+    assert pixels.problem == ""
     assert points.is_dynamic.shape == (3680,)
     assert points.boxes.shape == (len(points.labels), 7)
     picture = cv2.imread(str(outputs["pictures"] / "00.png"))
@@ -50,20 +50,23 @@ def test_a_place_without_images_has_empty_files(detection_drive, keyframes, dete
     assert (outputs["pictures"] / "01.png").is_file()
 
 
-def test_weights_of_another_network(detection_drive, keyframes, detectors, tmp_path):
+def test_weights_of_another_network_are_a_problem_of_every_keyframe(detection_drive, keyframes, detectors, tmp_path):
     swapped = detectors | {"image_files": detectors["lidar_files"]}
-    with pytest.raises(BadInput, match=r"settings\.yaml.*keys missing or unknown"):
-        run(detection_drive, keyframes, swapped, tmp_path / "a")
     mixed = detectors | {"lidar_files": [detectors["image_files"][0], detectors["lidar_files"][1]]}
-    with pytest.raises(BadInput, match="weights made with other settings"):
-        run(detection_drive, keyframes, mixed, tmp_path / "b")
+    for name, files, reason in (("a", swapped, "keys missing or unknown"), ("b", mixed, "weights made with other settings")):
+        outputs = run(detection_drive, keyframes, files, tmp_path / name)
+        for keyframe in ("00", "01"):
+            assert reason in DynamicPixels.load(outputs["masks"] / f"{keyframe}.npz").problem
+            assert not DynamicPoints.load(outputs["lidar"] / f"{keyframe}.npz").is_dynamic.any()
+            assert (outputs["pictures"] / f"{keyframe}.png").is_file()
+    assert DynamicPoints.load(outputs["lidar"] / "00.npz").is_dynamic.shape == (3680,)
 
 
 def test_moving_things_are_red_and_boxed():
     points = np.array([[10.0, 0, 0], [0, 10, 0]])
     box = np.array([[10.0, 0, 0, 4, 2, 1.5, 0]], np.float32)
     found = DynamicPoints(np.array([True, False]), box, np.array([5], np.uint8), np.ones(1, np.float32))
-    nothing = DynamicPixels(np.zeros((0, 0, 0), np.uint8), np.zeros((0, 0, 0), np.uint16), np.zeros(0, np.float32))
+    nothing = DynamicPixels.nothing()
     picture = draw_keyframe([], nothing, points, found)[:, 1:]
     assert picture[420 - 140, 420].tolist() == [220, 20, 60]
     assert picture[420, 420 - 140].tolist() == [150, 150, 150]

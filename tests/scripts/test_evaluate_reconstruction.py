@@ -9,9 +9,10 @@ from scripts import evaluate_reconstruction
 from streetscan.calibration.densification import DenseCloud
 from streetscan.calibration.model_files import summarize, write_model
 from streetscan.calibration.reconstruction import Reconstruction
-from streetscan.calibration.reconstruction_evaluation import evaluate_keyframe, true_camera_poses
+from streetscan.calibration.reconstruction_evaluation import compare_ranges, evaluate_keyframe, true_camera_poses
 from streetscan.calibration.scale import Scale
 from streetscan.calibration.sfm import SparseModel
+from streetscan.classes import CAR, FACADE, GROUND
 from streetscan.errors import BadInput
 from streetscan.geometry import invert, transform
 from streetscan.io.tables import save_tables
@@ -43,20 +44,44 @@ def model(tmp_path):
     return tmp_path
 
 
-def true_ranges(time_ns: int, directions: np.ndarray) -> np.ndarray:
+def true_surfaces(time_ns: int, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """A street in which all is nearer than found, and is road on the left and a house on the right."""
     assert time_ns == TIMES_NS[0]
-    return np.linalg.norm(directions, axis=1) / FAR
+    return np.linalg.norm(directions, axis=1) / FAR, np.where(directions[:, 0] < 0, GROUND, FACADE).astype(np.uint8)
 
 
 def test_errors_by_hand(model):
     summary = pd.read_csv(model / "summary.csv").iloc[0]
-    errors = evaluate_keyframe(summary, model / "model", model / "truth", true_ranges, 20.0)
+    errors = evaluate_keyframe(summary, model / "model", model / "truth", true_surfaces, 20.0)
     assert errors["scale_error"] == pytest.approx(SCALE - 1, abs=1e-6)
     assert errors["rotation_error_deg"] < 1e-5
     assert errors["dense_error"] == pytest.approx(FAR - 1, abs=1e-3)
     assert errors["dense_shape_error"] == pytest.approx(FAR / SCALE - 1, abs=1e-3)
     assert errors["n_compared"] == 500
-    assert evaluate_keyframe(summary, model / "model", model / "truth", true_ranges, 8.0)["n_compared"] < 400
+    assert evaluate_keyframe(summary, model / "model", model / "truth", true_surfaces, 8.0)["n_compared"] < 400
+    assert errors["n_ground"] + errors["n_standing"] == 500
+    assert errors["dense_ground_error"] == pytest.approx(FAR - 1, abs=1e-3)
+
+
+def test_what_stands_is_not_hidden_by_the_road():
+    """90 points of road that are right, 6 of houses wrong by 10 %, 2 of a car, one in the sky; of 4 farther ones two in the sky."""
+    truth = np.r_[np.full(90, 10.0), np.full(6, 15.0), 12.0, 12.0, np.inf, 30.0, 30.0, np.inf, np.inf]
+    ranges = np.r_[np.full(90, 10.0), np.full(6, 16.5), 12.12, 12.12, 14.0, 30.6, 33.0, 25.0, 60.0]
+    labels = np.r_[np.full(90, GROUND), np.full(6, FACADE), CAR, CAR, 255, FACADE, FACADE, 255, 255].astype(np.uint8)
+    found = compare_ranges(ranges, truth, labels, 1.0, 20.0)
+    assert {name: found[f"n_{name}"] for name in ("compared", "ground", "standing", "movable", "far", "missing")} == {
+        "compared": 98, "ground": 90, "standing": 6, "movable": 2, "far": 2, "missing": 1,
+    }  # fmt: skip
+    assert (found["dense_error"], found["dense_ground_error"]) == (0, 0)
+    assert found["dense_standing_error"] == pytest.approx(0.1)
+    assert found["dense_movable_error"] == pytest.approx(0.01)
+    assert found["dense_far_error"] == pytest.approx(0.06)
+    assert (found["dense_off"], found["dense_standing_off"]) == (pytest.approx(7 / 99), 1)
+    assert found["dense_far_off"] == pytest.approx(2 / 3)
+    assert found["dense_standing_share"] == pytest.approx(6 / 98)
+    nothing = compare_ranges(*(np.empty(0),) * 2, np.empty(0, np.uint8), 1.0, 20.0)
+    assert nothing["n_compared"] == 0
+    assert np.isnan([nothing["dense_error"], nothing["dense_off"], nothing["dense_standing_share"]]).all()
 
 
 def test_scores_count_every_keyframe(model):
@@ -69,6 +94,8 @@ def test_scores_count_every_keyframe(model):
     scores = pd.read_csv(model / "scores.csv").set_index("metric")
     assert scores.value[["accepted", "n_sparse", "n_dense"]].tolist() == [50, 500, 500]
     assert scores.value["scale_error"] == pytest.approx(2, abs=1e-4)
+    assert scores.value[["scale_right", "turns_right"]].tolist() == [0, 100]
+    assert scores.n[["scale_right", "turns_right"]].tolist() == [1, 1]
     assert scores.n[["accepted", "scale_error", "dense_error"]].tolist() == [2, 1, 0]
     table = pd.read_csv(model / "keyframes.csv")
     assert table.status.tolist() == ["ok", "no_images"]

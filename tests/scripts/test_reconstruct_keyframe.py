@@ -8,7 +8,9 @@ import yaml
 from toy_camera import lidar_poses, write_camera_drive
 
 from scripts import choose_keyframes, reconstruct_keyframe
+from streetscan.calibration.dynamic_objects import DynamicPixels
 from streetscan.errors import BadInput
+from streetscan.geometry import transform
 from streetscan.io.las import read_las
 from streetscan.io.tables import save_tables
 from streetscan.registration.pose_tables import tabulate_poses
@@ -31,7 +33,7 @@ def files(tmp_path_factory):
     (folder / "masks").mkdir()
     masks = np.zeros((N_IMAGES, 300, 400), np.uint8)
     masks[:, :, :130] = 5
-    np.savez(folder / "masks" / "00.npz", classes=masks)
+    DynamicPixels(masks, masks.astype(np.uint16), np.zeros(5, np.float32)).save(folder / "masks" / "00.npz")
     return folder
 
 
@@ -54,8 +56,9 @@ def test_clouds_cameras_and_pictures(made):
     assert summary.status == "ok"
     assert summary.n_registered == N_IMAGES
     assert summary.projection_error_px < 1
-    # T1 is from the densest points; how good points spread over the image would be is told beside it.
-    assert summary.projection_error_px == summary.density_error_px != summary.spread_error_px
+    # T1 is from the densest points with some distance; how good others would be is told beside it.
+    assert summary.projection_error_px == summary.spaced_error_px
+    assert len({summary.spaced_error_px, summary.spread_error_px, summary.density_error_px}) == 3
     assert summary.spread_error_px < 1
     model = folder / "model"
     sparse, dense = read_las(model / "sparse.laz"), read_las(model / "dense.laz")
@@ -116,6 +119,41 @@ def test_without_poses_of_the_lidar_there_is_no_unit(files, tmp_path):
     assert summary.status == "no_scale"
     assert np.isnan(summary.way_m)
     assert "no unit" in yaml.safe_load((tmp_path / "model" / "cameras.yaml").read_text())["frame"]
+
+
+def test_cameras_that_turn_otherwise_than_the_lidar_are_refused(files, tmp_path):
+    poses = lidar_poses(N_IMAGES)
+    for pose in poses:
+        yaw = 0.2 * (pose.time_s - poses[0].time_s)
+        pose.T_segment_lidar[:3, :3] = transform([0, 0, 0], [0, 0, yaw])[:3, :3]
+    save_tables({files / "turning.csv": tabulate_poses(poses)})
+    light = SETTINGS | {"densification": SETTINGS["densification"] | {"step_px": 16}}
+    summary = run(files, tmp_path, poses="turning.csv", masks=False, settings=light)
+    assert summary.status == "disagrees"
+    assert "turns of cameras and lidar differ" in summary.reason
+    assert summary.turn_off_deg == pytest.approx(np.degrees(0.2 * 0.4), abs=2)
+    assert summary.n_dense > 0
+
+
+def test_every_reason_is_kept(files, tmp_path):
+    save_tables({files / "lost.csv": tabulate_poses([])})
+    light = SETTINGS | {"densification": SETTINGS["densification"] | {"step_px": 16}, "projection": {"max_error_px": 0.01}}
+    summary = run(files, tmp_path, poses="lost.csv", masks=False, settings=light)
+    assert summary.status == "no_scale"
+    assert "0 frames of the lidar" in summary.reason
+    assert "reprojection error" in summary.reason
+
+
+def test_detectors_that_could_not_be_used_are_a_status(files, tmp_path):
+    (tmp_path / "masks").mkdir()
+    DynamicPixels.nothing("weights of another network").save(tmp_path / "masks" / "00.npz")
+    reconstruct_keyframe.main(
+        files / "drive.mcap", files / "keyframes.csv", files / "poses.csv", tmp_path / "masks", tmp_path / "model",
+        tmp_path / "summary.csv", 0, SETTINGS, 1, 1,
+    )  # fmt: skip
+    summary = pd.read_csv(tmp_path / "summary.csv").iloc[0]
+    assert (summary.status, summary.reason, summary.n_images) == ("bad_detector", "weights of another network", N_IMAGES)
+    assert list((tmp_path / "model").iterdir()) == []
 
 
 def test_missing_masks_are_one_sentence(files, tmp_path):

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from streetscan.calibration.densification import DensificationSettings, densify
+from streetscan.calibration.sfm import ReconstructionFailed
 from streetscan.errors import BadInput
 from streetscan.geometry import invert
 
@@ -71,6 +72,28 @@ def test_threads_change_nothing_and_seeds_little(toy_street, true_model, cloud):
 def test_without_texture_there_is_nothing(toy_street, true_model):
     blank = [np.full_like(image, 128) for image in toy_street.images]
     assert len(densify(blank, toy_street.camera.K, true_model, None, SETTINGS)) == 0
+
+
+def seen_only(model, image: int, keep: np.ndarray):
+    """The model, of which an image observes those of its observations alone that are kept."""
+    rows = np.flatnonzero(model.image_of == image)
+    kept = np.setdiff1d(np.arange(len(model.image_of)), rows[~keep])
+    names = ("point_of", "image_of", "feature_of", "pixels")
+    return replace(model, **{name: getattr(model, name)[kept] for name in names})
+
+
+def test_an_image_that_sees_too_few_points_or_a_line_has_no_map(toy_street, true_model):
+    """The last image sees nothing, two points, or points on a line; the other two maps stay."""
+    three = replace(SETTINGS, n_maps=3)
+    n = int((true_model.image_of == 4).sum())
+    on_a_line = replace(true_model, pixels=true_model.pixels.copy())
+    on_a_line.pixels[true_model.image_of == 4, 1] = 150.0
+    poor = [seen_only(true_model, 4, np.arange(n) < k) for k in (0, 2)]
+    for model in (*poor, on_a_line):
+        assert len(densify(toy_street.images, toy_street.camera.K, model, None, three)) > 1000
+        with pytest.raises(ReconstructionFailed, match="1 of 2 images") as failure:
+            densify(toy_street.images, toy_street.camera.K, model, None, SETTINGS)
+        assert failure.value.status == "not_dense"
 
 
 def test_far_points_are_left_out(toy_street, true_model):

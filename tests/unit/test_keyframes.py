@@ -1,7 +1,10 @@
 """Keyframes of tiny drives: what is chosen, and what is said where nothing can be."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from street_frames import SENSOR_HEIGHT_M, pose, scan
 from street_frames import drive as lidar_drive
 from toy_camera import camera_images, toy_camera
 from toy_drives import LEVEL
@@ -10,6 +13,7 @@ from streetscan.calibration.keyframes import (
     KeyframeSettings,
     choose_keyframes,
     count_columns,
+    find_camera,
     measure_movement,
     read_keyframe_images,
     read_keyframe_lidar,
@@ -18,7 +22,8 @@ from streetscan.calibration.keyframes import (
     tabulate_keyframes,
 )
 from streetscan.errors import BadInput
-from streetscan.frames import CameraImage, LidarFrame
+from streetscan.frames import CameraImage, LidarFrame, Mounting
+from streetscan.geometry import transform
 from streetscan.io.mcap import open_drive_writer
 from streetscan.io.tables import save_tables
 
@@ -33,9 +38,9 @@ def lidar_frames():
     return lidar_drive(2, n_beams=64, n_azimuths=1800)[0]
 
 
-def write(path, images: list[CameraImage], frames: list[np.ndarray], camera=CAMERA, lidar_ns=START_NS + 20_000_000):
+def write(path, images: list[CameraImage], frames: list[np.ndarray], camera=CAMERA, lidar_ns=START_NS + 20_000_000, mounting=LEVEL):
     with open_drive_writer(path) as writer:
-        writer.write_mounting(LEVEL, START_NS)
+        writer.write_mounting(mounting, START_NS)
         if camera is not None:
             writer.write_calibration(camera, START_NS)
         for i, points in enumerate(frames):
@@ -109,9 +114,20 @@ def test_gaps_part_images(toy_street, lidar_frames, tmp_path):
     assert found[0].images == [0, 1, 2]
 
 
-def test_unusable_intrinsics_stop_the_step(toy_street, lidar_frames, tmp_path):
-    with pytest.raises(BadInput, match="no intrinsics"):
-        choose_keyframes(write(tmp_path / "drive.mcap", moving(toy_street), lidar_frames, None), 1)
+def test_unusable_intrinsics_are_a_status(toy_street, lidar_frames, tmp_path):
+    """A row for every place, and the drive goes on; a damaged drive stops."""
+    flat = replace(CAMERA, K=np.diag([0.0, 0.0, 1.0]))
+    odd = replace(CAMERA, distortion_model="mirror", D=np.ones(4))
+    for name, camera, reason in (("none", None, "no intrinsics"), ("flat", flat, "no camera matrix"), ("odd", odd, "'mirror'")):
+        path = write(tmp_path / f"{name}.mcap", moving(toy_street), lidar_frames, camera)
+        found = choose_keyframes(path, 2, FEW)
+        assert [k.status for k in found] == ["bad_intrinsics"] * 2
+        assert all(reason in k.reason for k in found)
+        assert read_keyframe_images(path, found[0]) == []
+        assert find_camera(path) is None
+    (tmp_path / "cut.mcap").write_bytes(path.read_bytes()[:2000])
+    with pytest.raises(BadInput, match="not a whole MCAP file"):
+        choose_keyframes(tmp_path / "cut.mcap", 2, FEW)
 
 
 def test_movement_and_saturation_by_hand(toy_street):
@@ -125,11 +141,39 @@ def test_movement_and_saturation_by_hand(toy_street):
     assert saturated_share(image) == pytest.approx(0.4)
 
 
-def test_columns_are_counted_within_range(lidar_frames):
-    """The street's posts; house fronts and cars are none."""
-    everywhere, near = count_columns(lidar_frames[0]), count_columns(lidar_frames[0], KeyframeSettings(column_range_m=12.0))
-    assert 0 < near < everywhere
-    assert count_columns(np.empty((0, 3))) == 0
+def street_with(boxes: list) -> np.ndarray:
+    """Points of a lidar frame on a bare road with these boxes (low x, y, z, high x, y, z), the vehicle at its start."""
+    road = np.array([(-60, 30, 0, 60, 31, 6), *boxes], np.float64)
+    return scan(pose(0.0), road, np.random.default_rng(0), n_beams=64, n_azimuths=3600)[0]
+
+
+def post(x: float, y: float, width: float = 0.2, top: float = 5.0, base: float = 0.0) -> tuple:
+    return (x, y - width / 2, base, x + width, y + width / 2, top)
+
+
+def test_columns_in_view_are_counted():
+    """Posts ahead; not those beside and behind, beyond the range, nor what is wide, low or hangs."""
+    ahead = [post(8, -3), post(12, 4), post(18, -5)]
+    others = [
+        post(2, 6), post(-10, 3), post(45, 2), post(14, -7, width=1.2), post(10, 0, top=1.7), (20, 2, 1.6, 20.2, 2.2, 5),
+        (9, 7, 0, 13, 9, 1.5),
+    ]  # fmt: skip
+    assert count_columns(street_with(ahead), CAMERA) == 3
+    assert count_columns(street_with(ahead + others), CAMERA) == 3
+    assert count_columns(street_with(others), CAMERA) == 0
+    assert count_columns(street_with(ahead), CAMERA, KeyframeSettings(column_range_m=10.0)) == 1
+    assert count_columns(street_with([post(2, 6)]), CAMERA, KeyframeSettings(margin_deg=90.0)) == 1
+    assert count_columns(np.empty((0, 3)), CAMERA) == 0
+
+
+def test_a_frame_without_columns_makes_no_keyframe(toy_street, tmp_path):
+    """By the settings as they are; the lidar is turned on its mounting, and looked at as the vehicle goes."""
+    turned = Mounting("vehicle", "lidar", transform([0.8, 0.0, SENSOR_HEIGHT_M], [0, 0, np.pi / 2]))
+    for boxes, status in (([(9, 7, 0, 13, 9, 1.5)], "few_columns"), ([post(10, 2)], "ok")):
+        points = street_with(boxes) @ turned.T_parent_child[:3, :3]
+        path = write(tmp_path / f"{status}.mcap", moving(toy_street), [points], mounting=turned)
+        found = choose_keyframes(path, 1, KeyframeSettings(n_images=3, min_movement_px=2.0))[0]
+        assert (found.status, found.n_columns) == (status, int(status == "ok"))
 
 
 def test_settings_are_checked():

@@ -7,6 +7,7 @@ from toy_camera import toy_camera
 from streetscan.calibration.projection import (
     ProjectionSettings,
     choose_dense,
+    choose_spaced,
     choose_spread,
     estimate_projection,
     project_pinhole,
@@ -24,7 +25,7 @@ def seen_points(n: int = 120) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return points, project_pinhole(points, K, T), T
 
 
-@pytest.mark.parametrize("selection", ["density", "spread"])
+@pytest.mark.parametrize("selection", ["density", "spaced", "spread"])
 def test_the_pose_is_found(selection):
     points, pixels, T = seen_points()
     found = estimate_projection(points, pixels, K, ProjectionSettings(selection=selection))
@@ -47,8 +48,17 @@ def test_errors_are_of_all_points_not_of_the_chosen():
 def test_the_densest_by_hand():
     pixels = np.array([[0, 0], [10, 0], [20, 0], [100, 0], [101, 0], [300, 0]], float)
     # Within 15 px: 1, 2, 1, 1, 1, 0 others; 0 and 2 are near 1, and 4 is near 3.
-    assert choose_dense(pixels, 3, 15.0).tolist() == [1, 3, 0]
-    assert choose_dense(pixels, 99, 15.0).tolist() == [1, 3, 0, 2, 4, 5]
+    assert choose_dense(pixels, 3, 15.0).tolist() == [1, 0, 2]
+    assert choose_spaced(pixels, 3, 15.0).tolist() == [1, 3, 0]
+    assert choose_spaced(pixels, 99, 15.0).tolist() == [1, 3, 0, 2, 4, 5]
+
+
+def test_the_densest_all_lie_in_one_spot():
+    """Why some distance is asked for: most features of an image are where its texture is."""
+    grid = 60.0 * np.stack(np.meshgrid(np.arange(10), np.arange(10)), axis=-1).reshape(-1, 2)
+    pixels = np.concatenate([grid, np.random.default_rng(0).normal(-150, 8, (50, 2))])
+    assert (choose_dense(pixels, 45, 50.0) >= 100).all()
+    assert (choose_spaced(pixels, 45, 50.0) >= 100).sum() < 3
 
 
 def test_spread_by_hand():

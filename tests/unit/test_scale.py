@@ -56,6 +56,59 @@ def test_noise_of_poses_is_smoothed():
     assert estimate_scale(cameras, times, poses).value == pytest.approx(METRES_PER_UNIT, rel=0.015)
 
 
+def shaken(noise_m: float, seed: int) -> np.ndarray:
+    """The cameras of `drive`, each off by noise along every axis."""
+    cameras = invert(drive()[0])
+    cameras[:, :3, 3] += np.random.default_rng(seed).normal(0, noise_m / METRES_PER_UNIT, (8, 3))
+    return invert(cameras)
+
+
+def test_the_deviation_grows_with_what_does_not_fit():
+    """Noise of the cameras' places of 1, 3 and 5 % of the way: the deviation that is told is the one that is found."""
+    _, times, poses = drive()
+    loose = ScaleSettings(max_std=1.0, max_misfit=1.0)
+    for noise_m in (0.02, 0.05, 0.09):
+        found = [estimate_scale(shaken(noise_m, seed), times, poses, loose) for seed in range(100)]
+        off = np.array([scale.value / METRES_PER_UNIT - 1 for scale in found])
+        told = np.mean([scale.std for scale in found]) / METRES_PER_UNIT
+        assert told == pytest.approx(np.sqrt(np.mean(off**2)), rel=0.25), noise_m
+        assert abs(off.mean()) < 0.4 * told
+
+
+def test_ways_of_another_shape_tell_no_scale():
+    _, times, poses = drive()
+    for seed in range(20):
+        for noise_m in (0.175, 0.35):
+            with pytest.raises(NoScale, match="ways of the cameras and of the lidar differ"):
+                estimate_scale(shaken(noise_m, seed), times, poses)
+
+
+def test_turns_of_cameras_are_compared_with_the_lidars():
+    """Angles need no extrinsics. Intrinsics 20 % too long would have the cameras turn by as much too little."""
+    cameras, times, poses = drive(turn_radps=0.3)
+    assert estimate_scale(cameras, times, poses).turn_off_deg < 1e-3
+    lazy = invert(cameras)
+    lazy[:, :3, :3] = [lazy[0, :3, :3] @ transform([0, 0, 0], [0, -0.8 * 0.3 * (t - times[0]), 0])[:3, :3] for t in times]
+    assert estimate_scale(invert(lazy), times, poses).turn_off_deg == pytest.approx(np.degrees(0.2 * 0.3 * 7 / 28), rel=1e-3)
+
+
+def test_long_ways_tell_the_scale():
+    """An error of the cameras' places as long as a step of the vehicle: least squares alone would make the scale 4 % too small."""
+    _, times, poses = drive()
+    loose = ScaleSettings(max_std=1.0, max_misfit=1.0)
+    found = np.mean([estimate_scale(shaken(0.1, seed), times, poses, loose).value for seed in range(100)])
+    assert found == pytest.approx(METRES_PER_UNIT, rel=0.025)
+
+
+def test_times_that_do_not_increase_are_refused():
+    cameras, times, poses = drive()
+    times[4] = times[3]
+    with pytest.raises(NoScale, match="do not increase"):
+        estimate_scale(cameras, times, poses)
+    with pytest.raises(NoScale, match="do not increase"):
+        estimate_scale(cameras, times[::-1], poses)
+
+
 def test_an_image_that_was_not_registered_is_left_out():
     cameras, times, poses = drive()
     cameras[3] = np.nan

@@ -2,14 +2,17 @@
 
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 import yaml
+from safetensors.numpy import load_file, save_file
 
 from streetscan.calibration.detectors.city import CitySettings
 from streetscan.calibration.detectors.lidar_boxes import points_in_boxes
 from streetscan.calibration.detectors.opening import open_image_detector, open_lidar_detector
 from streetscan.calibration.detectors.pointpillars import PillarSettings, street_settings
+from streetscan.classes import CAR, PEDESTRIAN
 from streetscan.io.weights import check_equal_settings, load_settings
 from streetscan.simulation.layout import GENERATOR_VERSION
 
@@ -41,6 +44,23 @@ def test_pictures_without_anything_hold_nothing():
     detector = open_image_detector("city", files("image"), {})
     grey = np.full((482, 644, 3), 120, np.uint8)
     assert (detector.detect(grey).classes > 0).mean() < 0.02
+
+
+def overlaps(weights: str) -> dict[int, float]:
+    """IoU of people and cars in a picture of the simulated validation street, half its size, with these weights."""
+    picture = cv2.cvtColor(cv2.imread(str(HOME / "tests/pictures/street.jpg")), cv2.COLOR_BGR2RGB)
+    truth = cv2.imread(str(HOME / "tests/pictures/street_labels.png"), cv2.IMREAD_GRAYSCALE)
+    found = open_image_detector("city", [weights, files("image")[1]], {}).detect(picture).classes
+    return {c: ((found == c) & (truth == c)).sum() / ((found == c) | (truth == c)).sum() for c in (PEDESTRIAN, CAR)}
+
+
+def test_cars_and_people_of_a_street_are_found_and_not_by_weights_of_zero(tmp_path):
+    known = overlaps(files("image")[0])
+    assert known[CAR] > 0.5
+    assert known[PEDESTRIAN] > 0.2
+    weights = {name: np.zeros_like(values) for name, values in load_file(files("image")[0]).items()}
+    save_file(weights, tmp_path / "weights.safetensors")
+    assert max(overlaps(str(tmp_path / "weights.safetensors")).values()) < 0.1
 
 
 def test_a_car_on_a_road_is_found():

@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 import yaml
 
@@ -11,6 +12,7 @@ from streetscan.segmentation.c2cnn import Settings, check_same_settings, load_ne
 from streetscan.segmentation.ground import add_heights
 from streetscan.segmentation.inference import label_voxels
 from streetscan.simulation.colouring import Cameras
+from streetscan.simulation.layout import GENERATOR_VERSION
 from streetscan.simulation.receiver import Receiver
 from streetscan.simulation.recording import Errors, record_street
 from streetscan.simulation.sensors import mobile_mapper
@@ -29,6 +31,17 @@ def test_settings_are_the_defaults(network):
     config = yaml.safe_load((HOME / "config" / "default.yaml").read_text())
     wanted = config["train_segmenter"]["network"] | {"channels": config["models"]["c2cnn_shipped"]["channels"]}
     check_same_settings(network.settings, Settings(size_m=config["voxelize_map"]["size_m"], **wanted), FOLDER)
+
+
+def test_where_they_come_from_is_told():
+    """Of the city as it is now, and as good as the kept results say."""
+    origin = yaml.safe_load((FOLDER / "origin.yaml").read_text())
+    assert origin["generator_version"] == GENERATOR_VERSION
+    dataset, model = origin["network"].split("/")
+    scores = pd.read_csv(HOME / "docs" / "results" / origin["run"] / "scores.csv")
+    kept = scores[(scores["table"] == "nagy_2_3") & (scores["dataset"] == dataset) & (scores["column"] == f"{model} f")]
+    assert origin["f_even_percent"] == {row: round(float(f), 1) for row, f in zip(kept["row"], kept["ours"], strict=True)}
+    assert origin["f_even_percent"]["overall"] > 60
 
 
 def test_a_simulated_street_is_recognised(network):
