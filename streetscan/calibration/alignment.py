@@ -51,7 +51,8 @@ class IcpSettings:
             gives it to half a percent. Large for a cloud without unit.
         max_scale: largest deviation that is accepted (N-230).
         is_scaled: False keeps the scale of the start, as the thesis' standard ICP does.
-        bend_std_deg: deviation of the direction structure from motion has the camera go in, once image edges have corrected it.
+        bend_std_deg: deviation of the direction structure from motion has the camera go in, where image edges tell of no error; with a
+            correction by edges it is the larger of this and what they leave open.
         min_pairs: fewer correspondences are no registration.
     """
 
@@ -403,7 +404,8 @@ def _weights(errors: np.ndarray, noise_m: np.ndarray) -> np.ndarray:
     return 1 / noise_m**2 / (1 + (scaled / (2 * spread)) ** 2) ** 2
 
 
-# ASSUME: neighbouring points share their errors, so a correspondence counts as one of so many.
+# ASSUME: neighbouring points share their errors, so a correspondence counts as one of so many. A round number that was not measured;
+# of points 0.1 m apart it is a patch about 0.8 m wide.
 _CORRELATED = 60.0
 
 

@@ -29,8 +29,9 @@ from streetscan.registration.odometry import FramePose
 # Numbers of a keyframe in its row; those its status did not let be found are empty.
 FIGURES = (
     "n_lidar_objects", "n_sfm_objects", "n_lidar_voxels", "n_sfm_voxels", "n_lidar_columns", "n_matched", "n_icp", "icp_rmse_m", "scale",
-    "bend_deg", "median_distance_m", "hausdorff_m", "sigma_x_px", "sigma_y_px", "edge_px", "edge_before_px", "edge_margin_px",
-    "distance_before_m", "distance_after_m",
+    "bend_deg", "bend_found_deg", "bend_std_deg", "bend_gain_px",
+    "median_distance_m", "hausdorff_m", "sigma_x_px", "sigma_y_px", "edge_px", "edge_before_px", "edge_margin_px",
+    "distance_before_m", "distance_after_m", "gain_m", "gain_std_m", "edge_gain_px", "edge_gain_std_px",
 )  # fmt: skip
 SECONDS = ("raw", "objects", "alignment", "icp", "curves", "motion", "quality")
 _MEANING = {

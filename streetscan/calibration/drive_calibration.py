@@ -32,7 +32,7 @@ class DriveCalibrationSettings:
         n_known: keyframes they count as.
         n_bootstrap: samples of keyframes drawn for the bootstrap.
         max_deviation: a keyframe that is off by more deviations, on the mean of its six, is wrong, or the mounting has moved. ASSUME: 1.8;
-            one in a thousand is as far off by chance.
+            four in a thousand are as far off by chance, if errors are normal (chi-squared of six).
         min_gain: share by which a keyframe must lie nearer than the calibration in force to replace it.
     """
 
@@ -125,10 +125,13 @@ def combine_keyframes(
 
 
 def _inputs(accepted: Sequence[KeyframeResult], s: DriveCalibrationSettings) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Poses (K, 4, 4), by how much each keyframe's camera moves for a second of offset (K, 3), covariances (K, 6, 6); camera's axes."""
+    """Poses (K, 4, 4), by how much each keyframe's camera turns and moves for a second of offset (K, 6), covariances (K, 6, 6); all in the
+    camera's axes."""
     poses = np.array([k.T_camera_lidar() for k in accepted])
-    velocities = [np.zeros(3) if k.motion is None else k.motion.velocity_at_image() for k in accepted]
-    ways = np.einsum("kij,kj->ki", poses[:, :3, :3], np.array(velocities))
+    twists = np.array([np.zeros(6) if k.motion is None else k.motion.twist_at_image() for k in accepted])
+    turns, shifts = (np.einsum("kij,kj->ki", poses[:, :3, :3], t) for t in (twists[:, :3], twists[:, 3:]))
+    # The vehicle turns about the lidar, a turn of `_errors` about the camera.
+    ways = np.concatenate([turns, shifts + np.cross(poses[:, :3, 3], turns)], axis=1)
     common = np.diag([np.radians(s.keyframe_deg) ** 2] * 3 + [s.keyframe_m**2] * 3)
     return poses, ways, np.array([k.covariance for k in accepted]) + common
 
@@ -162,7 +165,7 @@ def _deviation(keyframe: KeyframeResult, held: Sequence[KeyframeResult], s: Driv
     """By how many deviations, on the mean of its six, a keyframe is off what others agree on."""
     poses, ways, covariances = _inputs([*held, keyframe], s)
     fitted = _fit(poses[:-1], ways[:-1], covariances[:-1], s)
-    error = _errors(poses[-1:], fitted.T)[0] - np.append(np.zeros(3), ways[-1] * fitted.offset_s)
+    error = _errors(poses[-1:], fitted.T)[0] - ways[-1] * fitted.offset_s
     back = np.linalg.inv(_to_lidar(fitted.T))
     own = covariances[-1] + (back @ fitted.covariance @ back.T)[:6, :6]
     return float(np.sqrt(error @ np.linalg.solve(own, error) / 6))
@@ -177,7 +180,7 @@ class _Fit:
 
 
 def _fit(poses: np.ndarray, ways: np.ndarray, covariances: np.ndarray, s: DriveCalibrationSettings) -> _Fit:
-    """Weighted mean of poses (K, 4, 4) and a common offset along their ways (K, 3); Tukey's weights, from the median on.
+    """Weighted mean of poses (K, 4, 4) and a common offset along their ways (K, 6); Tukey's weights, from the median on.
 
     `covariances` (K, 6, 6) are of a turn and a shift in the camera's axes: a keyframe counts in the directions it knows.
     """
@@ -186,7 +189,7 @@ def _fit(poses: np.ndarray, ways: np.ndarray, covariances: np.ndarray, s: DriveC
     information = np.linalg.inv(covariances)
     # How turn, shift and offset show in a keyframe's turn and shift.
     A = np.tile(np.eye(6, 7), (n, 1, 1))
-    A[:, 3:, 6] = ways
+    A[:, :, 6] = ways
     for _ in range(12):
         errors = _errors(poses, T) - A[:, :, 6] * offset
         spread = np.sqrt(_squares(errors, information))

@@ -34,9 +34,19 @@ from streetscan.calibration.control_curves import ControlCurves, fit_curves
 from streetscan.calibration.linear_projection import LinearProjection, View, camera_of, fit_projection, linear_of
 from streetscan.calibration.motion import LidarMotion
 from streetscan.calibration.objects import CloudObjects, ObjectSettings, count_columns, find_level, find_objects
-from streetscan.calibration.quality import EdgeCheck, QualitySettings, find_bend, hausdorff_distance, plane_distances
+from streetscan.calibration.quality import (
+    LEAST_GAIN_PX,
+    EdgeCheck,
+    QualitySettings,
+    find_bend,
+    hausdorff_distance,
+    paired_gain,
+    plane_distances,
+    sum_bundles,
+)
 from streetscan.errors import BadInput
 from streetscan.geometry import apply, invert, transform, transform_of_rotation
+from streetscan.registration.ndt import thin_points
 
 # The stages whose projections are kept, in their order.
 STAGES = ("objects_raw", "objects", "icp", "curves", "motion", "edges")
@@ -156,7 +166,13 @@ class KeyframeCalibration:
 
 
 def calibrate_keyframe(clouds: KeyframeClouds, settings: CalibrationSettings = CalibrationSettings()) -> KeyframeCalibration:
-    """The calibration at one keyframe; its status says whether to believe it."""
+    """The calibration at one keyframe; its status says whether to believe it.
+
+    Raises:
+        BadInput: the calibration in force is no transform.
+    """
+    if clouds.T_initial is not None and not np.isfinite(clouds.T_initial).all():
+        raise BadInput("T_camera_lidar in force", "a value that is not finite", "give a rigid transform, or none")
     made = KeyframeCalibration()
     try:
         _calibrate(clouds, settings, made)
@@ -173,7 +189,7 @@ def _calibrate(c: KeyframeClouds, s: CalibrationSettings, made: KeyframeCalibrat
         clock.stop("raw")
     made.lidar, made.sfm = prepare_objects(c.points_lidar[c.is_static], c.points_sfm[~c.is_dynamic_sfm], c, s)
     takes_part = c.is_static | s.with_parked
-    target = prepare_target(c.points_sfm[~c.is_dynamic_sfm | s.with_parked], c.cameras_sfm, view.K[0, 0], a.icp)
+    target = seen_target = prepare_target(c.points_sfm[~c.is_dynamic_sfm | s.with_parked], c.cameras_sfm, view.K[0, 0], a.icp)
     made.figures |= {f"n_{name}_objects": len(cloud) for name, cloud in (("lidar", made.lidar), ("sfm", made.sfm))}
     made.figures |= {f"n_{name}_voxels": len(cloud.voxels) for name, cloud in (("lidar", made.lidar), ("sfm", made.sfm))}
     made.figures["n_lidar_columns"] = count_columns(made.lidar.objects)
@@ -211,7 +227,7 @@ def _calibrate(c: KeyframeClouds, s: CalibrationSettings, made: KeyframeCalibrat
     if final is None:
         raise CalibrationFailed("no_projection", f"{len(made.control.objects)} objects are matched")
     made.projection, made.residuals_px = final.projection, final.residuals_px
-    _measure(c, s, made, points, registered.T_sfm_lidar, target)
+    _measure(c, s, made, points, registered.T_sfm_lidar, seen_target, target)
     clock.stop("quality")
     _judge(made, s.quality)
 
@@ -224,8 +240,12 @@ def _straighten(
 
     Beyond the thesis. Structure from motion hardly tells a turn of all images from a way to the side; the street then comes out turned
     against the images, and no registration of clouds can see it. In the image itself the sides of posts and houses do.
+
+    A correction is kept only if the edges tell it from none and those kept for the check lie nearer for it; a street whose edges are
+    everywhere has many places where some do. Else all stays as the clouds have it.
     """
-    check, bend = EdgeCheck(c.image, points, s.quality), 0.0
+    check, before = EdgeCheck(c.image, points, s.quality), (registered, target)
+    total, icp = 0.0, s.alignment.icp
     for share in _STRAIGHTENED:
         found = find_bend(
             check,
@@ -233,9 +253,19 @@ def _straighten(
             np.radians(share * s.max_bend_deg),
             _BEND_STEP_RAD,
         )
-        bend, target = bend + found, target.straightened(found)
-        registered = refine_alignment(near, target, registered.bent(found), s.alignment.icp)
-    made.figures["bend_deg"] = float(np.degrees(bend))
+        if share == _STRAIGHTENED[0]:
+            told = {"bend_found_deg": np.degrees(found.rad), "bend_std_deg": np.degrees(found.std_rad), "bend_gain_px": found.gain_px}
+            made.figures |= {"bend_deg": 0.0} | {name: float(value) for name, value in told.items()}
+            if not found.is_clear:
+                return before
+            icp = replace(s.alignment.icp, bend_std_deg=max(s.alignment.icp.bend_std_deg, told["bend_std_deg"]))
+        total, target = total + found.rad, target.straightened(found.rad)
+        registered = refine_alignment(near, target, registered.bent(found.rad), icp)
+    # What was promised must hold for the registration that comes of it, too.
+    was, now = (check.distance_px(linear_of(c.view.T_camera_sfm @ r.T_sfm_lidar, c.view.K), True) for r in (before[0], registered))
+    if not (registered.is_converged and was - now >= LEAST_GAIN_PX):
+        return before
+    made.figures["bend_deg"] = float(np.degrees(total))
     return registered, target
 
 
@@ -359,14 +389,25 @@ def _fit_raw(c: KeyframeClouds, deskewed: np.ndarray, T_sfm_lidar: np.ndarray) -
     return fit_projection(c.points_lidar[chosen], pixels[chosen], c.view.K)
 
 
-def _measure(c: KeyframeClouds, s: CalibrationSettings, made: KeyframeCalibration, points, T_sfm_lidar, target: PlaneTarget) -> None:
-    """Distances of the registered clouds and of edges, and the evidence other calibrations are compared on."""
+def _measure(
+    c: KeyframeClouds,
+    s: CalibrationSettings,
+    made: KeyframeCalibration,
+    points,
+    T_sfm_lidar,
+    target: PlaneTarget,
+    straightened: PlaneTarget,
+) -> None:
+    """Distances of the registered clouds and of edges, and the evidence other calibrations are compared on.
+
+    `target` is the camera's cloud as it is, `straightened` as edges have corrected it: what the registration lies on.
+    """
     lidar, numbers = made.lidar, made.control.objects
     members = np.concatenate([lidar.points_of(m) for m in numbers]) if len(numbers) else np.empty((0, 3))
     raw = apply(invert(lidar.T_level_cloud), members)
     own = _freed(c, raw)
     moved = apply(T_sfm_lidar, own)
-    distances = plane_distances(moved, target, s.alignment.icp.reaches_m[1])
+    distances = plane_distances(moved, straightened, s.alignment.icp.reaches_m[1])
     made.figures["median_distance_m"] = float(np.nanmedian(distances)) if np.isfinite(distances).any() else float("nan")
     seen = c.view.sees(apply(T_sfm_lidar, points)) & c.is_static & (np.linalg.norm(points, axis=1) < s.objects.range_m)
     sigma_x, sigma_y = _pixel_sigmas(apply(made.T_camera_stamp, points[seen]), c.view.K, made.covariance)
@@ -374,18 +415,38 @@ def _measure(c: KeyframeClouds, s: CalibrationSettings, made: KeyframeCalibratio
     made.figures["hausdorff_m"] = hausdorff_distance(apply(T_sfm_lidar, points[seen][::5]), target.points[::5])
     found = np.isfinite(distances)
     rows = np.flatnonzero(found)[:: max(1, found.sum() // _N_EVIDENCE)]
-    nearest = target.tree.query(moved[rows])[1]
+    nearest = straightened.tree.query(moved[rows])[1]
     to_camera = c.view.T_camera_sfm
     # In the lidar's metres, as T_camera_stamp is.
-    planes = apply(to_camera, target.points[nearest]) / scale_of(T_sfm_lidar)
-    made.evidence = np.concatenate([own[rows], planes, target.normals[nearest] @ to_camera[:3, :3].T], axis=1)
+    planes = apply(to_camera, straightened.points[nearest]) / scale_of(T_sfm_lidar)
+    made.evidence = np.concatenate([own[rows], planes, straightened.normals[nearest] @ to_camera[:3, :3].T], axis=1)
     check = EdgeCheck(c.image, c.points_lidar, s.quality)
     made.figures |= {"edge_px": check.distance_px(made.projection), "edge_margin_px": check.margin_px(made.projection, c.view.K)}
     if c.T_initial is not None:
         before = c.T_initial if c.motion is None else c.T_initial @ invert(c.motion.at([c.motion.image_s])[0])
         made.figures["edge_before_px"] = check.distance_px(linear_of(before, c.view.K))
-        made.figures["distance_before_m"] = evidence_distance(made.evidence, before)
-    made.figures["distance_after_m"] = evidence_distance(made.evidence, made.T_camera_stamp)
+        made.figures |= _compare(c, s, points, target, scale_of(T_sfm_lidar), before, made.T_camera_stamp)
+
+
+def _compare(
+    c: KeyframeClouds, s: CalibrationSettings, points: np.ndarray, target: PlaneTarget, scale: float, before: np.ndarray, after: np.ndarray
+) -> dict[str, float]:
+    """What speaks for one transform (4, 4) into the camera over the one in force: distances of the clouds, and of edges kept for the check.
+
+    Neither may choose what it is measured on: the points are all static ones that one of the two has in view, the planes are sought anew
+    under each, and a point without any counts as far as the reach. Deviations are over bundles of directions, as neighbours err alike.
+    """
+    reach, near = s.alignment.icp.reaches_m[1], thin_points(points[c.is_static & (np.linalg.norm(points, axis=1) < s.objects.range_m)], 0.1)
+    both = [invert(c.view.T_camera_sfm) @ np.diag([scale, scale, scale, 1.0]) @ T for T in (before, after)]
+    near = near[c.view.sees(apply(both[0], near)) | c.view.sees(apply(both[1], near))]
+    distances = np.stack([np.fmin(plane_distances(apply(T, near), target, reach), reach) for T in both], axis=1)
+    sums, counts = sum_bundles(near, distances)
+    gain, std = paired_gain(sums, counts)
+    edges = EdgeCheck(c.image, points, s.quality).sum_bundles([linear_of(T, c.view.K) for T in (before, after)], True)
+    edge_gain, edge_std = paired_gain(*edges)
+    means = sums.sum(axis=0) / counts.sum() if len(counts) else np.full(2, np.nan)
+    told = {"distance_before_m": means[0], "distance_after_m": means[1], "gain_m": gain, "gain_std_m": std}
+    return {name: float(v) for name, v in (told | {"edge_gain_px": edge_gain, "edge_gain_std_px": edge_std}).items()}
 
 
 def _pixel_sigmas(points_camera: np.ndarray, K: np.ndarray, covariance: np.ndarray) -> np.ndarray:
@@ -427,9 +488,32 @@ def _judge(made: KeyframeCalibration, q: QualitySettings) -> None:
         raise CalibrationFailed("far_apart", f"a median distance of {f['median_distance_m']:.3f} m of at most {q.max_distance_m:g} m")
     if not f["sigma_x_px"] <= q.max_sigma_px:
         raise CalibrationFailed("uncertain", f"a deviation of {f['sigma_x_px']:.1f} px of at most {q.max_sigma_px:g} px")
-    if f["edge_margin_px"] < q.min_edge_margin_px:
+    if not f["edge_px"] < q.max_edge_px:
+        raise CalibrationFailed("no_edges", "no image edge is near any edge that the lidar sees, or it sees none")
+    if not f["edge_margin_px"] >= q.min_edge_margin_px:
         raise CalibrationFailed("edges_disagree", f"turned, edges lie {-f['edge_margin_px']:.2f} px nearer")
-    if f["distance_after_m"] >= f.get("distance_before_m", np.inf):
+    if "gain_m" in f:
+        _ask_for_a_gain(f, q)
+
+
+def _ask_for_a_gain(f: dict[str, float], q: QualitySettings) -> None:
+    """Refuse what is not better than the calibration in force by more than noise.
+
+    ASSUME: where edges have corrected the way of the camera, its cloud is wrong and has no say; edges must gain then. Otherwise the clouds
+    must, and edges must not lie farther by more than their noise.
+    """
+    edges = f["edge_gain_px"] / max(f["edge_gain_std_px"], 1e-9)
+    if f.get("bend_deg", 0.0) != 0:
+        is_better = edges > _SURE
+    else:
+        is_better = f["gain_m"] >= max(q.min_gain_m, _SURE * f["gain_std_m"]) and edges >= -_SURE
+    if not is_better:
         raise CalibrationFailed(
-            "not_better", f"a distance of {f['distance_after_m']:.3f} m; the one in force has {f['distance_before_m']:.3f} m"
+            "not_better",
+            f"{f['distance_after_m']:.3f} m from the clouds' planes, the one in force {f['distance_before_m']:.3f} m, asked for a gain of "
+            f"{q.min_gain_m:g} m; edges gain {f['edge_gain_px']:.2f} +- {f['edge_gain_std_px']:.2f} px",
         )
+
+
+# A gain is one when it is so many of its deviations.
+_SURE = 2.0

@@ -4,6 +4,7 @@ The motion is that of register_frames (no GPS, no IMU), smoothed as for the scal
 """
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from streetscan.calibration.scale import NoScale, near_poses, smooth_motion
 from streetscan.geometry import apply, invert, transform_of_rotation
@@ -51,11 +52,12 @@ class LidarMotion:
         """
         return T_camera_stamp @ self.at([self.image_s - time_offset_s])[0]
 
-    def velocity_at_image(self, time_offset_s: float = 0.0) -> np.ndarray:
-        """(3,) velocity of the lidar when the image was taken, m/s, in its own axes."""
+    def twist_at_image(self, time_offset_s: float = 0.0) -> np.ndarray:
+        """(6,) how the lidar turned (rotation vector, rad/s) and moved (m/s) when the image was taken, in its own axes."""
         t = self.image_s - time_offset_s
-        a, b = self.at([t - 0.01, t + 0.01])
-        return a[:3, :3].T @ (b[:3, 3] - a[:3, 3]) / 0.02
+        before, here, after = self.at([t - 0.01, t, t + 0.01])
+        turn = Rotation.from_matrix(before[:3, :3].T @ after[:3, :3]).as_rotvec()
+        return np.append(turn, here[:3, :3].T @ (after[:3, 3] - before[:3, 3])) / 0.02
 
 
 def motion_of(poses: list[FramePose], lidar_time_ns: int, image_time_ns: int) -> LidarMotion | None:

@@ -5,7 +5,7 @@ import pytest
 
 from streetscan.calibration.alignment import prepare_target
 from streetscan.calibration.linear_projection import linear_of
-from streetscan.calibration.quality import EdgeCheck, depth_edges, find_bend, hausdorff_distance, plane_distances
+from streetscan.calibration.quality import EdgeCheck, depth_edges, find_bend, hausdorff_distance, paired_gain, plane_distances
 from streetscan.geometry import transform
 
 K = np.array([[400.0, 0, 320], [0, 400.0, 240], [0, 0, 1]])
@@ -19,6 +19,19 @@ def board_and_wall() -> tuple[np.ndarray, np.ndarray]:
     is_board = (np.abs(8 * rays[:, 1:]) < 1).all(axis=1)
     image = np.full((480, 640, 3), 200, np.uint8)
     image[240 - 50 : 240 + 51, 320 - 50 : 320 + 51] = 60
+    return rays * np.where(is_board, 8.0, 20.0)[:, None], image
+
+
+def boards_and_wall() -> tuple[np.ndarray, np.ndarray]:
+    """Eleven narrow boards 8 m ahead, at no even distance, before a wall at 20 m; and the image of them."""
+    azimuths, elevations = np.meshgrid(np.radians(np.arange(-35, 35, 0.17)), np.radians(np.arange(-20, 20, 0.4)))
+    rays = np.stack([np.ones_like(azimuths), np.tan(azimuths), np.tan(elevations) / np.cos(azimuths)], axis=-1).reshape(-1, 3)
+    places = np.arange(-5, 6) * 1.1 + np.array([0.1, -0.2, 0.3, 0, -0.3, 0.2, -0.1, 0.3, -0.2, 0, 0.1])
+    is_board = (np.abs(8 * rays[:, 1, None] - places) < 0.2).any(axis=1) & (np.abs(8 * rays[:, 2]) < 1)
+    image = np.full((480, 640, 3), 200, np.uint8)
+    for place in places:
+        left = round(320 - 50 * (place + 0.2))
+        image[240 - 50 : 240 + 51, max(left, 0) : max(left + 21, 0)] = 60
     return rays * np.where(is_board, 8.0, 20.0)[:, None], image
 
 
@@ -49,18 +62,34 @@ def turned_by(angle_rad: float) -> np.ndarray:
 
 
 def test_edges_find_the_turn_that_brings_them_together():
-    points, image = board_and_wall()
+    points, image = boards_and_wall()
     check = EdgeCheck(image, points)
-    for off_deg in (-0.8, 0.0, 0.4):
+    for off_deg in (-0.8, 0.4, 0.6):
         found = find_bend(check, lambda e, off=off_deg: turned_by(e + np.radians(off)), np.radians(2), np.radians(0.05))
-        # Of the board's two sides one is kept for the check; edges are blurred by a pixel or two.
-        assert np.degrees(found) == pytest.approx(-off_deg, abs=0.35)
+        # Edges are blurred by a pixel or two.
+        assert np.degrees(found.rad) == pytest.approx(-off_deg, abs=0.2)
+        assert np.degrees(found.std_rad) < 0.2
+        assert found.gain_px > 0.5
+        assert found.is_clear
+    assert not find_bend(check, turned_by, np.radians(2), np.radians(0.05)).is_clear
 
 
 def test_an_image_without_edges_corrects_nothing():
     points, image = board_and_wall()
-    assert find_bend(EdgeCheck(np.full_like(image, 100), points), turned_by, np.radians(2), np.radians(0.05)) == 0.0
-    assert find_bend(EdgeCheck(image, np.empty((0, 3))), turned_by, np.radians(2), np.radians(0.05)) == 0.0
+    for check in (EdgeCheck(np.full_like(image, 100), points), EdgeCheck(image, np.empty((0, 3)))):
+        found = find_bend(check, turned_by, np.radians(2), np.radians(0.05))
+        assert found.rad == 0.0
+        assert not found.is_clear
+
+
+def test_edges_of_other_things_tell_no_turn():
+    points, _ = boards_and_wall()
+    rng = np.random.default_rng(0)
+    for _ in range(10):
+        image = np.full((480, 640, 3), 200, np.uint8)
+        for column in rng.integers(0, 620, 12):
+            image[:, column : column + rng.integers(3, 20)] = 60
+        assert not find_bend(EdgeCheck(image, points), turned_by, np.radians(2), np.radians(0.05)).is_clear
 
 
 def test_edges_kept_for_the_check_take_no_part():
@@ -75,6 +104,18 @@ def test_no_edge_in_view_is_no_number():
     points, image = board_and_wall()
     behind = linear_of(T_CAMERA_LIDAR @ transform(rpy_rad=(0, 0, np.pi)), K)
     assert np.isnan(EdgeCheck(image, points).distance_px(behind))
+
+
+def test_a_gain_is_paired_over_bundles():
+    counts = np.full(20, 10)
+    noise = np.random.default_rng(0).normal(0, 5, 20)
+    gain, std = paired_gain(np.stack([noise + 3.0, noise], axis=1), counts)
+    # What both have in common is no noise of the gain.
+    assert gain == pytest.approx(0.3)
+    assert std < 1e-9
+    _, std = paired_gain(np.stack([noise, np.zeros(20)], axis=1), counts)
+    assert std == pytest.approx(np.std(noise / 10) / np.sqrt(20), rel=0.3)
+    assert np.isnan(paired_gain(np.empty((0, 2)), np.empty(0, int))).all()
 
 
 def test_distances_from_planes():

@@ -29,9 +29,11 @@ def motion(speed_mps: float, turn_radps: float = 0.0) -> LidarMotion:
     return LidarMotion(poses, START_NS + 1_000_000_000, START_NS + 1_020_000_000)
 
 
-def keyframe(index: int, speed_mps: float = 8.0, error: np.ndarray | None = None, offset_s: float = 0.0, status: str = "ok"):
+def keyframe(
+    index: int, speed_mps: float = 8.0, error: np.ndarray | None = None, offset_s: float = 0.0, status: str = "ok", turn_radps: float = 0.0
+):
     """A keyframe of the true mounting, or of one that is off by a transform, with an offset of the images' stamps."""
-    m = motion(speed_mps)
+    m = motion(speed_mps, turn_radps)
     T = T_TRUE if error is None else T_TRUE @ error
     T_stamp = T @ invert(m.at([m.image_s - offset_s])[0])
     rng = np.random.default_rng(index)
@@ -80,6 +82,29 @@ def test_different_speeds_tell_the_offset():
     made = combine_keyframes(keyframes, DriveCalibrationSettings(offset_std_s=0.05, keyframe_m=0.01))
     assert made.time_offset_s == pytest.approx(0.02, abs=1e-3)
     np.testing.assert_allclose(made.T_camera_lidar[:3, 3], T_TRUE[:3, 3], atol=0.01)
+
+
+def test_an_offset_in_a_bend_turns_the_camera_too():
+    # 20 ms of a vehicle that turns by 20 degrees a second are 0.4 degrees.
+    turns = np.radians([-20.0, -10, 0, 10, 20, 20])
+    keyframes = [keyframe(k, speed_mps=5.0 + k, offset_s=0.02, turn_radps=turn) for k, turn in enumerate(turns)]
+    settings = DriveCalibrationSettings(offset_std_s=0.05)
+    made = combine_keyframes(keyframes, settings)
+    assert made.time_offset_s == pytest.approx(0.02, abs=1e-3)
+    assert np.degrees(rotation_angle(invert(T_TRUE) @ made.T_camera_lidar)) < 0.02
+    np.testing.assert_allclose(made.T_camera_lidar[:3, 3], T_TRUE[:3, 3], atol=0.01)
+    # The offset tells the turn, so that none of them is off the others.
+    _, deviations = keyframes_in_force(keyframes, settings)
+    assert np.nanmax(deviations) < 0.5
+
+
+def test_all_in_one_bend_the_turn_is_as_uncertain_as_the_offset():
+    turn = np.radians(20.0)
+    made = combine_keyframes([keyframe(k, speed_mps=0.0, offset_s=0.02, turn_radps=turn) for k in range(6)])
+    error = rotation_angle(invert(T_TRUE) @ made.T_camera_lidar)
+    sigma = np.sqrt(np.trace(made.covariance[3:6, 3:6]))
+    assert error > np.radians(0.2)
+    assert error < 4 * sigma + 1e-9
 
 
 def test_one_speed_does_not_tell_it_and_the_deviation_says_so():

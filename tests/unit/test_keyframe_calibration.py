@@ -1,10 +1,18 @@
 """A keyframe's calibration on a toy street whose sensors' places are known, and what bad input ends in."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from toy_calibration import T_CAMERA_LIDAR, changed, toy_keyframe
 
-from streetscan.calibration.keyframe_calibration import CalibrationSettings, calibrate_keyframe, evidence_distance
+from streetscan.calibration.keyframe_calibration import (
+    CalibrationFailed,
+    CalibrationSettings,
+    _judge,
+    calibrate_keyframe,
+    evidence_distance,
+)
 from streetscan.calibration.linear_projection import project_linear
 from streetscan.calibration.objects import ObjectSettings
 from streetscan.calibration.quality import QualitySettings
@@ -47,6 +55,13 @@ def test_every_stage_is_kept_and_the_first_is_the_coarsest(toy, made):
     assert errors["motion"] < errors["objects"]
 
 
+def test_edges_do_not_ruin_what_the_clouds_had_right(toy, made):
+    straightened = calibrate_keyframe(toy.clouds, replace(SETTINGS, final="edges"))
+    assert straightened.figures["bend_deg"] == 0
+    np.testing.assert_array_equal(straightened.stages["edges"], straightened.stages["motion"])
+    np.testing.assert_array_equal(straightened.T_camera_lidar, made.T_camera_lidar)
+
+
 def test_a_cloud_that_is_two_percent_too_large_gives_the_same_mounting():
     made = calibrate_keyframe(toy_keyframe(scale=1.02).clouds, SETTINGS)
     assert made.status == "ok", made.reason
@@ -60,15 +75,53 @@ def test_without_motion_the_curves_give_the_projection(toy):
     np.testing.assert_array_equal(made.projection, made.stages["curves"])
 
 
-def test_the_one_in_force_is_replaced_only_by_a_better_one(toy):
+def test_what_is_true_stays_in_force(toy):
     kept = calibrate_keyframe(changed(toy, T_initial=T_CAMERA_LIDAR), SETTINGS)
-    of_another_camera = T_CAMERA_LIDAR @ transform([0.5, 1.0, 0], (0, 0, 0.3))
-    replaced = calibrate_keyframe(changed(toy, T_initial=of_another_camera), SETTINGS)
-    # What is true cannot be bettered by more than noise.
-    assert kept.figures["distance_before_m"] == pytest.approx(kept.figures["distance_after_m"], abs=2e-3)
-    assert kept.status == ("ok" if kept.figures["distance_after_m"] < kept.figures["distance_before_m"] else "not_better")
-    assert replaced.status == "ok"
-    assert replaced.figures["distance_before_m"] > 3 * replaced.figures["distance_after_m"]
+    assert kept.status == "not_better"
+    assert abs(kept.figures["gain_m"]) < SETTINGS.quality.min_gain_m
+
+
+def test_what_is_wrong_in_force_is_replaced(toy):
+    for wrong in (transform([0.05, 0.1, 0], np.radians([0, 0, 1.0])), transform([0, 0, 0.1], np.radians([0, 1.0, 0]))):
+        replaced = calibrate_keyframe(changed(toy, T_initial=T_CAMERA_LIDAR @ wrong), SETTINGS)
+        assert replaced.status == "ok", replaced.reason
+        assert replaced.figures["distance_before_m"] > replaced.figures["distance_after_m"] + SETTINGS.quality.min_gain_m
+
+
+def test_an_image_without_edges_does_not_confirm(toy):
+    made = calibrate_keyframe(changed(toy, image=np.full_like(toy.clouds.image, 100)), SETTINGS)
+    assert made.status == "no_edges"
+
+
+def test_each_gate_refuses_what_is_beyond_its_limit(made):
+    asked = {
+        "too_few_objects": {"n_matched": 0},
+        "far_apart": {"median_distance_m": 0.2},
+        "uncertain": {"sigma_x_px": 20.0},
+        "no_edges": {"edge_px": 12.0},
+        "edges_disagree": {"edge_margin_px": -0.1},
+        "not_better": {"gain_m": 0.005, "gain_std_m": 0.001, "edge_gain_px": 1.0, "edge_gain_std_px": 0.1, "distance_before_m": 0.04},
+    }
+    fine = made.figures | {"edge_margin_px": 1.0, "distance_after_m": 0.05}
+    _judge(replace(made, figures=fine), QualitySettings())
+    for status, beyond in asked.items():
+        unknown = {name: np.nan for name in beyond if name != "n_matched"}
+        for figures in (beyond, beyond | unknown):
+            with pytest.raises(CalibrationFailed) as failure:
+                _judge(replace(made, figures=fine | figures), QualitySettings())
+            assert failure.value.status == status
+
+
+def test_edges_that_lie_farther_keep_the_one_in_force(made):
+    gain = {"distance_before_m": 0.08, "distance_after_m": 0.05, "gain_m": 0.03, "gain_std_m": 0.002, "edge_margin_px": 1.0}
+    _judge(replace(made, figures=made.figures | gain | {"edge_gain_px": 0.5, "edge_gain_std_px": 0.3}), QualitySettings())
+    with pytest.raises(CalibrationFailed, match="edges gain"):
+        _judge(replace(made, figures=made.figures | gain | {"edge_gain_px": -1.0, "edge_gain_std_px": 0.3}), QualitySettings())
+
+
+def test_nothing_is_compared_with_a_transform_that_is_none(toy):
+    with pytest.raises(BadInput, match="not finite"):
+        calibrate_keyframe(changed(toy, T_initial=np.full((4, 4), np.nan)), SETTINGS)
 
 
 def test_evidence_tells_a_shifted_mounting(made):
