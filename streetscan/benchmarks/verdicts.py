@@ -10,6 +10,7 @@ import pandas as pd
 from streetscan.benchmarks.report import Check
 from streetscan.benchmarks.tables import format_number
 from streetscan.calibration.keyframe_calibration import CalibrationSettings
+from streetscan.calibration.quality import SURE, QualitySettings, judge_gain
 
 # What the reader of a calibration should know of its verdict.
 HOW_TO_READ = (
@@ -46,8 +47,9 @@ def checks_of(row: Mapping, settings: CalibrationSettings) -> list[Check]:
         least("Edges: how much nearer than with the camera turned", "edge_margin_px", q.min_edge_margin_px, "px"),
         _told(row, "Edges: distance under this calibration", "edge_px", "px"),
         _told(row, "Edges: distance under the calibration in force", "edge_before_px", "px"),
-        _better(row),
-        _told(row, "Turn of the camera's way that edges corrected", "bend_deg", "deg"),
+        *_better(row, q),
+        _told(row, "Turn of the camera's way that edges find", "bend_found_deg", "deg"),
+        _told(row, "... and that was corrected, since they are sure of it", "bend_deg", "deg"),
     ]
     return [line for line in lines if line is not None]
 
@@ -69,13 +71,22 @@ def _told(row: Mapping, name: str, figure: str, unit: str) -> Check | None:
     return None if pd.isna(value) else Check(name, "", _text(value, unit), "")
 
 
-def _better(row: Mapping) -> Check:
-    name = "Distance of the clouds under this calibration"
-    after, before = _value(row, "distance_after_m"), _value(row, "distance_before_m")
-    if pd.isna(before):
-        return Check(name, "none is in force to be better than", _found(after, "m"), "")
-    verdict = "" if pd.isna(after) else "passes" if after < before else "fails"
-    return Check(name, f"below {_text(before, 'm')}, that under the calibration in force", _found(after, "m"), verdict)
+def _better(row: Mapping, q: QualitySettings) -> list[Check]:
+    """What the clouds gain over the calibration in force, and what edges kept for the check do."""
+    names = "Clouds: gain over the calibration in force", "Edges: gain over the calibration in force"
+    f = {figure: _value(row, figure) for figure in ("gain_m", "gain_std_m", "edge_gain_px", "edge_gain_std_px")}
+    if pd.isna(f["gain_m"]):
+        return [Check(names[0], "none is in force to be better than", "", "")]
+    bend = _value(row, "bend_deg")
+    says = judge_gain(f | {"bend_deg": 0.0 if pd.isna(bend) else bend}, q)
+    judged = {sensor: "passes" if is_gain else "fails" for sensor, is_gain in says.items()}
+    noise, least = _text(SURE * f["edge_gain_std_px"], "px"), _text(max(q.min_gain_m, SURE * f["gain_std_m"]), "m")
+    clouds = f"at least {least}" if "clouds" in judged else "no say: edges corrected its way"
+    edges = f"no loss beyond {noise}" if "clouds" in judged else f"above {noise}"
+    return [
+        Check(names[0], clouds, _text(f["gain_m"], "m"), judged.get("clouds", "")),
+        Check(names[1], edges, _text(f["edge_gain_px"], "px"), judged["edges"]),
+    ]
 
 
 def _value(row: Mapping, figure: str) -> float:

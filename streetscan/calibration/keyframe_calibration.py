@@ -40,6 +40,7 @@ from streetscan.calibration.quality import (
     QualitySettings,
     find_bend,
     hausdorff_distance,
+    judge_gain,
     paired_gain,
     plane_distances,
     sum_bundles,
@@ -492,28 +493,9 @@ def _judge(made: KeyframeCalibration, q: QualitySettings) -> None:
         raise CalibrationFailed("no_edges", "no image edge is near any edge that the lidar sees, or it sees none")
     if not f["edge_margin_px"] >= q.min_edge_margin_px:
         raise CalibrationFailed("edges_disagree", f"turned, edges lie {-f['edge_margin_px']:.2f} px nearer")
-    if "gain_m" in f:
-        _ask_for_a_gain(f, q)
-
-
-def _ask_for_a_gain(f: dict[str, float], q: QualitySettings) -> None:
-    """Refuse what is not better than the calibration in force by more than noise.
-
-    ASSUME: where edges have corrected the way of the camera, its cloud is wrong and has no say; edges must gain then. Otherwise the clouds
-    must, and edges must not lie farther by more than their noise.
-    """
-    edges = f["edge_gain_px"] / max(f["edge_gain_std_px"], 1e-9)
-    if f.get("bend_deg", 0.0) != 0:
-        is_better = edges > _SURE
-    else:
-        is_better = f["gain_m"] >= max(q.min_gain_m, _SURE * f["gain_std_m"]) and edges >= -_SURE
-    if not is_better:
+    if "gain_m" in f and not all(judge_gain(f, q).values()):
         raise CalibrationFailed(
             "not_better",
             f"{f['distance_after_m']:.3f} m from the clouds' planes, the one in force {f['distance_before_m']:.3f} m, asked for a gain of "
             f"{q.min_gain_m:g} m; edges gain {f['edge_gain_px']:.2f} +- {f['edge_gain_std_px']:.2f} px",
         )
-
-
-# A gain is one when it is so many of its deviations.
-_SURE = 2.0

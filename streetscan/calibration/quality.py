@@ -6,7 +6,7 @@ ASSUME: the thesis accepts a Hausdorff distance of its clouds below 5 cm. The pl
 street, if only for what one sensor sees alone; it is reported, and the gate is the median distance of points on matched objects.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -167,6 +167,27 @@ def paired_gain(sums: np.ndarray, counts: np.ndarray) -> tuple[float, float]:
         return float("nan"), float("nan")
     gains, draws = sums[:, 0] - sums[:, 1], _draws(len(counts))
     return float(gains.sum() / counts.sum()), float(((draws @ gains) / (draws @ counts)).std())
+
+
+def judge_gain(figures: Mapping[str, float], q: QualitySettings) -> dict[str, bool]:
+    """Whether clouds and edges say that a calibration is better than the one in force by more than noise: each of them that has a say.
+
+    ASSUME: where edges have corrected the way of the camera, its cloud is wrong and has no say; edges must gain then. Otherwise the clouds
+    must, and edges must not lie farther by more than their noise.
+
+    Args:
+        figures: `gain_m`, `gain_std_m`, `edge_gain_px`, `edge_gain_std_px` and, where edges corrected, `bend_deg` of a keyframe.
+        q: `min_gain_m`.
+    """
+    edge_noise = SURE * figures["edge_gain_std_px"]
+    if figures.get("bend_deg", 0.0) != 0:
+        return {"edges": bool(figures["edge_gain_px"] > edge_noise)}
+    clouds = figures["gain_m"] >= max(q.min_gain_m, SURE * figures["gain_std_m"])
+    return {"clouds": bool(clouds), "edges": bool(figures["edge_gain_px"] >= -edge_noise)}
+
+
+# A gain is one when it is so many of its deviations.
+SURE = 2.0
 
 
 def _draws(n: int) -> np.ndarray:

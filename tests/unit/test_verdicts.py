@@ -16,7 +16,7 @@ from streetscan.errors import BadInput
 
 GOOD = {
     "overlap": 0.3, "margin": 0.2, "n_matched": 5, "median_distance_m": 0.02, "sigma_x_px": 1.0, "edge_margin_px": 1.0, "edge_px": 2.0,
-    "edge_before_px": 3.0, "distance_after_m": 0.02, "distance_before_m": 0.05,
+    "edge_before_px": 3.0, "gain_m": 0.03, "gain_std_m": 0.005, "edge_gain_px": 1.0, "edge_gain_std_px": 0.4,
 }  # fmt: skip
 SETTINGS = CalibrationSettings(
     alignment=AlignmentSettings(min_overlap=0.1, min_margin=0.05),
@@ -29,14 +29,15 @@ def verdicts(**changes) -> dict[str, str]:
 
 
 def test_what_is_good_passes_every_check():
-    assert list(verdicts().values()) == ["passes"] * 7
+    assert list(verdicts().values()) == ["passes"] * 8
 
 
 @pytest.mark.parametrize(
     ("change", "part"),
     [
         ({"overlap": 0.05}, "Overlap"), ({"margin": 0.01}, "Lead"), ({"n_matched": 2}, "Matched"), ({"median_distance_m": 0.05}, "Median"),
-        ({"sigma_x_px": 4.5}, "Deviation"), ({"edge_margin_px": 0.4}, "Edges: how much"), ({"distance_after_m": 0.05}, "Distance of the"),
+        ({"sigma_x_px": 4.5}, "Deviation"), ({"edge_margin_px": 0.4}, "Edges: how much"), ({"gain_m": 0.009}, "Clouds: gain"),
+        ({"gain_m": 0.009, "gain_std_m": 0.0}, "Clouds: gain"), ({"edge_gain_px": -0.9}, "Edges: gain"),
     ],
 )  # fmt: skip
 def test_one_that_is_not_fails_its_own_check_alone(change, part):
@@ -56,8 +57,14 @@ def test_what_was_not_reached_is_neither_passed_nor_failed():
 
 
 def test_without_a_calibration_in_force_there_is_nothing_to_be_better_than():
-    (line,) = [c for c in checks_of(GOOD | {"distance_before_m": np.nan}, SETTINGS) if c.name.startswith("Distance of the")]
-    assert (line.asked, line.found, line.verdict) == ("none is in force to be better than", "0.020 m", "")
+    (line,) = [c for c in checks_of(GOOD | {"gain_m": np.nan}, SETTINGS) if "over the calibration in force" in c.name]
+    assert (line.asked, line.found, line.verdict) == ("none is in force to be better than", "", "")
+
+
+def test_where_edges_corrected_the_way_of_the_camera_they_alone_decide():
+    lines = [c for c in checks_of(GOOD | {"bend_deg": 0.4, "gain_m": -0.02}, SETTINGS) if "over the calibration in force" in c.name]
+    assert [c.verdict for c in lines] == ["", "passes"]
+    assert verdicts(bend_deg=0.4, edge_gain_px=0.7)["Edges: gain over the calibration in force"] == "fails"
 
 
 def make_keyframe(folder, n_pictures: int):
