@@ -44,8 +44,10 @@ class QualitySettings:
         min_objects: fewer matched objects tell nothing. ASSUME: one, for the distance to be measured on; the thesis' more than three are
             of the scene, and asked before. On the training street keyframes with one and two were right.
         max_sigma_px: largest deviation across the image, on the mean of the points in view, that the clouds leave open.
-        max_distance_m: largest median distance of points on matched objects from the camera's planes.
-        min_edge_margin_px: by which image edges must lie nearer to the lidar's edges than they do when the calibration is turned.
+        max_distance_m: largest median distance of points on matched objects from the camera's planes. Of 15 keyframes on training and
+            validation streets 9 were right (within 0.5 degrees and 25 cm); 95 % of them stay below.
+        min_edge_margin_px: by which image edges must lie nearer to the lidar's edges than they do when the calibration is turned; of those
+            nine the least had 0.22.
         edge_turn_deg: by so much.
         max_edge_px: an image edge farther off is none.
         min_gain_m: by which the clouds must lie nearer, on the mean of points in view, than under the calibration in force. On validation
@@ -54,8 +56,8 @@ class QualitySettings:
 
     min_objects: int = 1
     max_sigma_px: float = 8.0
-    max_distance_m: float = 0.06
-    min_edge_margin_px: float = 0.0
+    max_distance_m: float = 0.055
+    min_edge_margin_px: float = 0.2
     edge_turn_deg: float = 0.5
     max_edge_px: float = 12.0
     min_gain_m: float = 0.01
@@ -201,7 +203,8 @@ class Bend:
 
     Attributes:
         rad: the error; 0 where no edge is in view, or edges lie hardly nearer anywhere else.
-        std_rad: its deviation over samples of the bundles of edges; it is large where the curve has several minima.
+        std_rad: its deviation over samples of the bundles of edges; it is large where the curve has several minima, infinite where the
+            lowest is at the end of the search.
         gain_px: by how much nearer the edges kept for the check lie under it.
     """
 
@@ -211,8 +214,8 @@ class Bend:
 
     @property
     def is_clear(self) -> bool:
-        """Whether the edges tell it from none, and those that took no part agree."""
-        return self.rad != 0 and abs(self.rad) > _CLEAR * self.std_rad and self.gain_px >= LEAST_GAIN_PX
+        """Whether the edges tell it from none, at one place, and those that took no part agree."""
+        return abs(self.rad) > self.std_rad and self.std_rad <= _MAX_STD_RAD and self.gain_px >= _HELD_OUT_GAIN_PX
 
 
 def find_bend(check: EdgeCheck, projection_of: Callable[[float], np.ndarray], max_rad: float, step_rad: float) -> Bend:
@@ -235,12 +238,13 @@ def find_bend(check: EdgeCheck, projection_of: Callable[[float], np.ndarray], ma
     k, middle = int(costs.argmin()), len(errors) // 2
     if costs[middle] - costs[k] < LEAST_GAIN_PX:
         return Bend(0.0, _deviation(errors, prior, sums, counts, 0.0), 0.0)
-    rad = float(errors[k])
-    if 0 < k < len(errors) - 1:
-        before, here, after = costs[k - 1 : k + 2]
-        rad += step_rad * 0.5 * float(before - after) / max(float(before - 2 * here + after), 1e-9)
     held = _smooth(held_sums.sum(axis=0) / held_counts.sum())
-    return Bend(rad, _deviation(errors, prior, sums, counts, rad), float(held[middle] - held[k]))
+    gain = float(held[middle] - held[k])
+    if not 0 < k < len(errors) - 1:
+        return Bend(float(errors[k]), np.inf, gain)
+    before, here, after = costs[k - 1 : k + 2]
+    rad = float(errors[k] + step_rad * 0.5 * (before - after) / max(before - 2 * here + after, 1e-9))
+    return Bend(rad, _deviation(errors, prior, sums, counts, rad), gain)
 
 
 def _deviation(errors: np.ndarray, prior: np.ndarray, sums: np.ndarray, counts: np.ndarray, rad: float) -> float:
@@ -257,8 +261,12 @@ def _smooth(curves: np.ndarray) -> np.ndarray:
 
 # The largest error costs as much as edges that are so much farther off; a smaller gain is none.
 _HELD_PX, LEAST_GAIN_PX = 0.2, 0.1
-# An error is told from none when it is so many of its deviations; and samples of bundles that tell the deviation.
-_CLEAR, _N_DRAWS = 2.0, 200
+# An error is believed when it is above its deviation, the deviation is no larger, and edges that took no part lie so much nearer under it.
+# ASSUME: the last two tell KITTI's drive 0005, where the way has an error (0.57 degrees and more than 0.57 px), from the training and
+# validation streets, where it has none (0.77 degrees, 0.35 px).
+_MAX_STD_RAD, _HELD_OUT_GAIN_PX = np.radians(0.6), 0.5
+# Samples of bundles that tell the deviation.
+_N_DRAWS = 200
 
 
 def depth_edges(points_lidar: np.ndarray, max_range_m: float = 40.0, step_m: float = 0.5) -> np.ndarray:
