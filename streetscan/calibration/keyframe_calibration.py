@@ -246,7 +246,7 @@ def _straighten(
     everywhere has many places where some do. Else all stays as the clouds have it.
     """
     check, before = EdgeCheck(c.image, points, s.quality), (registered, target)
-    total, icp = 0.0, s.alignment.icp
+    total = 0.0
     for share in _STRAIGHTENED:
         found = find_bend(
             check,
@@ -259,9 +259,8 @@ def _straighten(
             made.figures |= {"bend_deg": 0.0} | {name: float(value) for name, value in told.items()}
             if not found.is_clear:
                 return before
-            icp = replace(s.alignment.icp, bend_std_deg=max(s.alignment.icp.bend_std_deg, told["bend_std_deg"]))
         total, target = total + found.rad, target.straightened(found.rad)
-        registered = refine_alignment(near, target, registered.bent(found.rad), icp)
+        registered = refine_alignment(near, target, registered.bent(found.rad), s.alignment.icp)
     # What was promised must hold for the registration that comes of it, too.
     was, now = (check.distance_px(linear_of(c.view.T_camera_sfm @ r.T_sfm_lidar, c.view.K), True) for r in (before[0], registered))
     if not (registered.is_converged and was - now >= LEAST_GAIN_PX):
