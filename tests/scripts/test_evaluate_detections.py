@@ -22,6 +22,17 @@ def test_scores_of_images_and_frames(detection_drive, detectors, tmp_path):
     assert table["value"].dropna().between(0, 100).all()
 
 
+def test_weights_of_another_network_leave_out_their_sensor(detection_drive, detectors, tmp_path, caplog):
+    scores = tmp_path / "scores.csv"
+    swapped = detectors | {"image_files": detectors["lidar_files"]}
+    evaluate_detections.main(
+        detection_drive.mcap, detection_drive.truth, **swapped, margin_m=0.1, foot_m=0.1, n_threads=1, min_pixels=10, range_m=15.0,
+        scores=scores,
+    )  # fmt: skip
+    assert set(pd.read_csv(scores)["sensor"]) == {"lidar"}
+    assert "no scores" in caplog.text
+
+
 @pytest.mark.parametrize("kept", ["labels", "masks"])
 def test_drives_with_one_of_both(detection_drive, detectors, tmp_path, kept):
     known = yaml.safe_load(Path(detection_drive.truth, "truth.yaml").read_text())

@@ -1,6 +1,7 @@
 """Detectors by the names of their methods."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import torch
 
@@ -10,6 +11,28 @@ from streetscan.calibration.detectors.lidar_boxes import LidarDetector
 from streetscan.calibration.detectors.onnx import METHODS, OnnxDetector, read_onnx_settings
 from streetscan.calibration.detectors.pointpillars import Choice, PillarDetector
 from streetscan.errors import BadInput
+
+
+class UnusableDetector(Exception):
+    """Files of another network, or a network that cannot take what it is given; the message is that of the BadInput behind it."""
+
+
+class CheckedDetector:
+    """A detector whose own bad input is an UnusableDetector, so that it is told from that of a drive."""
+
+    def __init__(self, open_detector: Callable[[], Any]):
+        self._detector = self._checked(open_detector)
+
+    def detect(self, *inputs):
+        """What the detector itself detects."""
+        return self._checked(lambda: self._detector.detect(*inputs))
+
+    @staticmethod
+    def _checked(act: Callable[[], Any]) -> Any:
+        try:
+            return act()
+        except BadInput as error:
+            raise UnusableDetector(str(error)) from error
 
 
 def open_image_detector(method: str, files: Sequence[str], settings: dict, n_threads: int = 1) -> ImageDetector:
