@@ -30,10 +30,9 @@ rule evaluate_thinning:
         code=library("evaluate_thinning"),
         voxels="results/voxelize_map/{dataset}/{split}/voxels.npz",
         labels="results/label_voxels/{dataset}/{split}/labels.npy",
-        networks=lambda w: [file for model in config["evaluate_thinning"]["models"] for file in files_of_model(w.dataset, model)],
+        networks=lambda w: [file for model in thinned_on(w.dataset) for file in files_of_model(w.dataset, model)],
     output:
         scores="results/evaluate_thinning/{dataset}/{split}/scores.csv",
-        figure="results/evaluate_thinning/{dataset}/{split}/thinning.svg",
     log:
         "results/evaluate_thinning/{dataset}/{split}/scores.log",
     conda:
@@ -43,6 +42,7 @@ rule evaluate_thinning:
         mem_mb=3000,
     params:
         **config["evaluate_thinning"],
+        models=lambda w: thinned_on(w.dataset),
         seed=config["seed"],
         n_threads=config["n_threads"],
     script:
@@ -330,7 +330,8 @@ rule tabulate_benchmarks:
         histories=[f"{training_of(d, m)}/history.csv" for d, m in TRAINED],
         network_scores=for_pairs("results/calibrate_segmenter/{dataset}/{model}/scores.csv", NETWORKS),
         network_reliabilities=for_pairs("results/calibrate_segmenter/{dataset}/{model}/reliability.csv", NETWORKS),
-        views=for_pairs("results/evaluate_views/{dataset}/{split}/{model}/views", LABELLED),
+        thinnings=[f"results/evaluate_thinning/{name}/scores.csv" for name in THINNED_PARTS],
+        views=for_pairs("results/evaluate_views/{dataset}/{split}/{model}/views", SHOWN),
         realism=list(realism_tables().values()),
         densities=expand("results/evaluate_density/{dataset}/density.csv", dataset=STATIC_SCANS),
         registrations=for_drives("results/evaluate_registration/{drive}/{registrar}/scores.csv", REGISTERED),
@@ -365,10 +366,11 @@ rule tabulate_benchmarks:
     resources:
         mem_mb=2000,
     params:
-        evaluated=EVALUATED,
-        trained=TRAINED,
+        evaluated=with_seeds(EVALUATED),
+        trained=methods_of(TRAINED),
         known=[network_facts(*pair) for pair in NETWORKS],
-        viewed=LABELLED,
+        thinned={"parts": THINNED_PARTS, "names": {m: (base_of(m), seed_of(m)) for _, m in THINNED}},
+        viewed=methods_of(SHOWN),
         registered=REGISTERED,
         merged=MERGED,
         localized=SCORED_LOCALIZATIONS,

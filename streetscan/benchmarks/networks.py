@@ -111,16 +111,21 @@ def _parameter_scores(networks: Sequence[Network]) -> list[dict]:
         rows.append(make_score("parameters", size, f"k_{n.k}", "f", *rates["f"][:1], "%", **common))
         for table, row in [("nagy_2_1", size)] * (n.k == _K) + [("nagy_2_2", str(n.k))] * (n.size_m == _SIZE_M):
             rows += [make_score(table, row, "c2cnn", m, value, "%", count, **common) for m, (value, count) in rates.items()]
-        if n.k == _K:
+        if n.k == _K and n is _first_of(networks, n):  # counts are the map's, whatever the seed
             counts = {m: n.value("natural", "part", m)[0] for m in ("n_voxels", "n_occupied")}
             rows += [make_score("nagy_2_1", size, "c2cnn", m, value, "", **common) for m, value in counts.items()]
     return rows
 
 
+def _first_of(networks: Sequence[Network], like: Network) -> Network:
+    """The first of the networks that are this one but for the seed."""
+    return next(n for n in networks if (n.dataset, n.method) == (like.dataset, like.method))
+
+
 def draw_networks(folder: str | Path, inputs: Mapping[str, Sequence[str]], known: Sequence[Mapping]) -> list[Section]:
-    """A section with the reliability of each network before and after calibration, drawn into a folder (SVG and PDF)."""
-    pictures = []
-    for n in (n for n in read_networks(inputs, known) if n.is_labelled):
+    """A section with the reliability of each network (of its first seed) before and after calibration, drawn into a folder (SVG, PDF)."""
+    networks, pictures = [n for n in read_networks(inputs, known) if n.is_labelled], []
+    for n in (n for n in networks if n is _first_of(networks, n)):
         bins = n.reliability[n.reliability["protocol"] == "natural"]
         before, after = (bins[bins["stage"] == stage] for stage in ("trained", "calibrated"))
         temperature = n.value("natural", "overall", "temperature")[0]

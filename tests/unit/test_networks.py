@@ -1,5 +1,6 @@
 """What calibrate_segmenter found, as tables and figures beside the thesis' Tables 2.1 and 2.2."""
 
+import numpy as np
 import pandas as pd
 import pytest
 
@@ -90,6 +91,22 @@ def test_tables_are_printed_with_the_papers_beside(files):
     row = printed["nagy_2_1_city"].rows.index("0.1")
     cells = [printed["nagy_2_1_city"].text(row, j) for j in range(len(printed["nagy_2_1_city"].columns))]
     assert "80.0 / 90.3" in cells
+
+
+def test_seeds_are_averaged_and_the_counts_of_the_map_are_not(tmp_path):
+    known = [FACTS | {"seed": seed, "is_labelled": True} for seed in (1, 2, 3)]
+    inputs = {"network_scores": [], "network_reliabilities": []}
+    for i, _ in enumerate(known):
+        for name, table in (("network_scores", scores(80.0 + i)), ("network_reliabilities", reliability())):
+            inputs[name].append(str(tmp_path / f"{name}_{i}.csv"))
+            table.to_csv(inputs[name][-1], index=False)
+    table = collect_scores([], {}, networks.all_scores(inputs, known, []))
+    found = table[table["method"] == "c2cnn"].set_index(["table", "row", "column"])
+    assert found.loc[("nagy_2_1", "0.1", "c2cnn f"), ["ours", "spread", "seed"]].tolist() == [81, 1, "1;2;3"]
+    assert found.loc[("tuning", "city/c2cnn", "validation_even f"), ["ours", "spread"]].tolist() == [81, 1]
+    assert np.isnan(found.loc[("nagy_2_1", "0.1", "c2cnn n_voxels"), "spread"])
+    (section,) = networks.draw_networks(tmp_path / "figures", inputs, known)
+    assert len(section.figures) == 1
 
 
 def test_reliability_is_drawn_for_labelled_maps(files, tmp_path):
