@@ -15,6 +15,7 @@ import pandas as pd
 import yaml
 
 from streetscan.benchmarks.scores import label_scores, read_evaluations
+from streetscan.io.tables import renew_rows, save_tables
 from streetscan.simulation.layout import GENERATOR_VERSION
 
 HOME = Path(__file__).resolve().parent.parent
@@ -80,6 +81,17 @@ def ship_weights(name: str, run: str, commit: str, target: Path) -> None:
     (target / "origin.yaml").write_text(yaml.safe_dump(origin, sort_keys=False))
 
 
+def keep_benchmarks(measured: Path, target: Path, commit: str) -> None:
+    """Put a table of benchmarks into the kept one; what was not run again stays, and the kept text says which rows are of which commit."""
+    table = pd.read_csv(measured, keep_default_na=False)
+    renewed = renew_rows(target / "bench.csv", table, "benchmark")
+    text = target / "bench.txt"
+    before = text.read_text() if len(renewed) > len(table) else ""
+    rows = f" (rows {', '.join(dict.fromkeys(table['benchmark']))})" if before else ""
+    save_tables({target / "bench.csv": renewed})
+    text.write_text(f"{before}command: python -m benchmarks{rows}\ncommit: {commit}\nhardware: {describe_hardware()}\n")
+
+
 def main() -> None:
     """Copy the runs named on the command line (all finished ones by default), and bench.csv where there is one."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -108,8 +120,7 @@ def main() -> None:
     if arguments.ship:
         ship_weights(arguments.ship, (arguments.runs or finished)[0], commit, HOME / "weights/c2cnn")
     if (HOME / "results/bench.csv").is_file():
-        shutil.copy(HOME / "results/bench.csv", KEPT)
-        (KEPT / "bench.txt").write_text(f"command: make bench\ncommit: {commit}\nhardware: {describe_hardware()}\n")
+        keep_benchmarks(HOME / "results/bench.csv", KEPT, commit)
 
 
 if __name__ == "__main__":
