@@ -13,7 +13,8 @@ from benchmarks.bench_registration import bench_registration
 from benchmarks.bench_sensors import bench_sensors
 from benchmarks.bench_simulation import bench_simulation
 from benchmarks.bench_textures import bench_textures
-from streetscan.io.tables import renew_rows, save_tables
+from streetscan.benchmarks.speed import renew_rows
+from streetscan.io.tables import save_tables
 
 COLUMNS = ["benchmark", "metric", "value", "unit", "peer", "n"]
 logger = logging.getLogger("streetscan.bench")
@@ -43,7 +44,7 @@ def main() -> None:
     for name in chosen:
         logger.info("benchmark %s", name)
         table = pd.DataFrame(benchmarks[name]())[COLUMNS]
-        save_tables({arguments.output: renew_rows(arguments.output, table, "benchmark")})
+        save_tables({arguments.output: renew_rows(arguments.output, table)})
         print(table.to_string(index=False), flush=True)
 
 

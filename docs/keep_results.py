@@ -15,7 +15,8 @@ import pandas as pd
 import yaml
 
 from streetscan.benchmarks.scores import label_scores, read_evaluations
-from streetscan.io.tables import renew_rows, save_tables
+from streetscan.benchmarks.speed import renew_rows
+from streetscan.io.tables import save_tables
 from streetscan.simulation.layout import GENERATOR_VERSION
 
 HOME = Path(__file__).resolve().parent.parent
@@ -84,7 +85,7 @@ def ship_weights(name: str, run: str, commit: str, target: Path) -> None:
 def keep_benchmarks(measured: Path, target: Path, commit: str) -> None:
     """Put a table of benchmarks into the kept one; what was not run again stays, and the kept text says which rows are of which commit."""
     table = pd.read_csv(measured, keep_default_na=False)
-    renewed = renew_rows(target / "bench.csv", table, "benchmark")
+    renewed = renew_rows(target / "bench.csv", table)
     text = target / "bench.txt"
     before = text.read_text() if len(renewed) > len(table) else ""
     rows = f" (rows {', '.join(dict.fromkeys(table['benchmark']))})" if before else ""

@@ -17,12 +17,6 @@ def save_tables(tables: Mapping[str | Path, pd.DataFrame]) -> None:
             table.to_csv(stack.enter_context(atomic_path(path)), index=False)
 
 
-def renew_rows(path: str | Path, table: pd.DataFrame, key: str) -> pd.DataFrame:
-    """The table a file holds, if any, with its rows of the keys in `table` replaced: parts of a long list can be made alone."""
-    known = pd.read_csv(path, keep_default_na=False) if Path(path).is_file() else table.iloc[:0]
-    return pd.concat([known[~known[key].isin(table[key])], table], ignore_index=True)
-
-
 def read_csv(path: str | Path, columns: Sequence[str], step: str) -> pd.DataFrame:
     """A table that a step of ours wrote.
 

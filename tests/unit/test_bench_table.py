@@ -3,7 +3,7 @@
 import pandas as pd
 
 from benchmarks.__main__ import COLUMNS
-from streetscan.io.tables import renew_rows
+from streetscan.benchmarks.speed import renew_rows
 
 
 def _table(*rows):
@@ -12,7 +12,7 @@ def _table(*rows):
 
 def test_rows_of_what_ran_again_are_replaced(tmp_path):
     path = tmp_path / "bench.csv"
-    assert renew_rows(path, _table(("a", 1.0)), "benchmark")["value"].tolist() == [1.0]
+    assert renew_rows(path, _table(("a", 1.0)))["value"].tolist() == [1.0]
     _table(("a", 1.0), ("b", 2.0), ("a", 3.0)).to_csv(path, index=False)
-    renewed = renew_rows(path, _table(("a", 4.0), ("c", 5.0)), "benchmark")
+    renewed = renew_rows(path, _table(("a", 4.0), ("c", 5.0)))
     assert renewed[["benchmark", "value"]].to_numpy().tolist() == [["b", 2.0], ["a", 4.0], ["c", 5.0]]
