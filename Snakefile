@@ -23,7 +23,7 @@ rule all:
     default_target: True
     input:
         [f"results/tabulate_benchmarks/{config['run']}/report.html"]
-        if LABELLED or TUNED or THINNED or REGISTERED or SCORED_LOCALIZATIONS or SCORED_CALIBRATIONS
+        if LABELLED or TUNED or REFINED or THINNED or REGISTERED or SCORED_LOCALIZATIONS or SCORED_CALIBRATIONS
         else [],
         for_pairs("results/clean_map/{dataset}/{split}/{model}/static.laz", SHOWN),
         for_pairs("results/extract_objects/{dataset}/{split}/{model}/objects.gpkg", SHOWN),

@@ -49,6 +49,32 @@ rule evaluate_thinning:
         "../scripts/evaluate_thinning.py"
 
 
+rule evaluate_refinements:
+    """What four quarter turns and smoothed labels gain on the validation part, and the time they cost."""
+    input:
+        code=library("evaluate_refinements"),
+        voxels="results/voxelize_map/{dataset}/validation/voxels.npz",
+        labels="results/label_voxels/{dataset}/validation/labels.npy",
+        network=network_of,
+    output:
+        scores="results/evaluate_refinements/{dataset}/{model}/scores.csv",
+    log:
+        "results/evaluate_refinements/{dataset}/{model}/scores.log",
+    conda:
+        "../envs/streetscan.yaml"
+    threads: config["n_threads"]
+    resources:
+        mem_mb=3000,
+    params:
+        smoothing=config["label_map"]["smoothing"],
+        tile_m=config["label_map"]["tile_m"],
+        n_per_class=config["evaluate_labels"]["n_per_class"],
+        seed=config["seed"],
+        n_threads=config["n_threads"],
+    script:
+        "../scripts/evaluate_refinements.py"
+
+
 rule evaluate_views:
     """Pictures of a labelled map from above and from eye level: predicted and, with truth, true and wrong labels."""
     input:
@@ -330,6 +356,7 @@ rule tabulate_benchmarks:
         histories=[f"{training_of(d, m)}/history.csv" for d, m in TRAINED],
         network_scores=for_pairs("results/calibrate_segmenter/{dataset}/{model}/scores.csv", NETWORKS),
         network_reliabilities=for_pairs("results/calibrate_segmenter/{dataset}/{model}/reliability.csv", NETWORKS),
+        refinements=for_pairs("results/evaluate_refinements/{dataset}/{model}/scores.csv", [p for p in NETWORKS if p in REFINED]),
         thinnings=[f"results/evaluate_thinning/{name}/scores.csv" for name in THINNED_PARTS],
         views=for_pairs("results/evaluate_views/{dataset}/{split}/{model}/views", SHOWN),
         realism=list(realism_tables().values()),

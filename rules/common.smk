@@ -79,6 +79,7 @@ check_config()
 SELECTIONS = (
     "labelled_maps",
     "tuned_models",
+    "refined_models",
     "thinned_models",
     "drives",
     "registered_drives",
@@ -403,19 +404,20 @@ def check_seeds(selected, where):
             raise WorkflowError(f"{where}: '{name}/{base}' is named twice with seed {seed}; drop one, or give it another seed.")
 
 
-LABELLED, TUNED = pairs(config["labelled_maps"]), pairs(config["tuned_models"])
+LABELLED, TUNED, REFINED = (pairs(config[key]) for key in ("labelled_maps", "tuned_models", "refined_models"))
 for name in config["voxel_variants"]:
     if (DATASETS / f"{name}.yaml").is_file():
         raise WorkflowError(f"voxel_variants: '{name}' has a data set file of its own; give the variant another name.")
-for name, model in LABELLED + TUNED:
+for name, model in LABELLED + TUNED + REFINED:
     check_pair(name, model, needs_map=(name, model) in LABELLED)
     for part in facts(name)["parts"]:
         list_files(name, part)  # now rather than in the middle of the DAG
-for name, model in TUNED:
-    if is_baseline(model) or not is_calibrated(model):
-        raise WorkflowError(f"tuned_models: '{name}/{model}' is no network trained on that data set; name one whose weights are own.")
+for key, selected in (("tuned_models", TUNED), ("refined_models", REFINED)):
+    check_seeds(selected, key)
+    for name, model in selected:
+        if is_baseline(model) or not is_calibrated(model):
+            raise WorkflowError(f"{key}: '{name}/{model}' is no network trained on that data set; name one whose weights are own.")
 check_seeds(LABELLED, "labelled_maps")
-check_seeds(TUNED, "tuned_models")
 THINNED = pairs(config["thinned_models"])
 check_seeds(THINNED, "thinned_models")
 for name, model in THINNED:
@@ -429,7 +431,7 @@ EVALUATED = [(d, m) for d, m in LABELLED if facts(d)["truth"] == "labels" and "t
 # Pictures and products are of one of a method's seeds, the first that is named; its scores are of all.
 SHOWN = [(d, m) for i, (d, m) in enumerate(LABELLED) if (d, base_of(m)) not in methods_of(LABELLED[:i])]
 TRAINED = [(d, m) for d, m in SHOWN if is_baseline(m) or model_of(m)["weights"] == "own"]
-NETWORKS = list(dict.fromkeys([(d, m) for d, m in LABELLED if not is_baseline(m) and is_calibrated(m)] + TUNED))
+NETWORKS = list(dict.fromkeys([(d, m) for d, m in LABELLED if not is_baseline(m) and is_calibrated(m)] + TUNED + REFINED))
 
 
 def thinned_on(name):
@@ -458,6 +460,7 @@ def network_facts(dataset, model):
         "k": (network | changed)["k"],
         "is_labelled": (dataset, model) in LABELLED,
         "is_tuned": (dataset, model) in TUNED,
+        "is_refined": (dataset, model) in REFINED,
         "is_point": is_plain and set(changed) <= {"k", "is_padded"} and not of_model.get("prior_power"),
     }
 

@@ -52,6 +52,7 @@ def inputs(tmp_path):
         "localization_pictures": [],
         "network_scores": [],
         "network_reliabilities": [],
+        "refinements": [],
         "thinnings": [],
     }
     for dataset, _, seed in EVALUATED:

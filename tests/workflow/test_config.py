@@ -114,6 +114,7 @@ SELF_STARTED = {"channels": ["count"], "weights": "own", "initial": "city_tiny/a
         ({"voxel_variants": {"city": {"dataset": "city_tiny", "size_m": 0.2}}}, "voxel_variants: 'city'"),
         ({"tuned_models": ["city_tiny/c2cnn_shipped"]}, "no network trained on that data set"),
         ({"tuned_models": ["city_tiny/lightgbm"]}, "no network trained on that data set"),
+        ({"refined_models": ["city_tiny/lightgbm"]}, "refined_models: 'city_tiny/lightgbm' is no network trained on that data set"),
         ({"labelled_maps": ["city_tiny/c2cnn_seed_x"]}, "model 'c2cnn_seed_x': what follows _seed_ is no whole number"),
         ({"labelled_maps": ["city_tiny/resnet_seed_2"]}, "model 'resnet' is not in the config"),
         ({"labelled_maps": ["city_tiny/c2cnn_shipped_seed_2"]}, "the shipped network is not trained again; use c2cnn_shipped."),

@@ -106,6 +106,15 @@ def test_networks_label_fewer_points_of_the_validation_and_test_parts(tmp_path):
     assert not {job.rule for job in jobs} & {"label_map", "evaluate_labels", "evaluate_views"}
 
 
+def test_turns_and_smoothing_are_compared_on_the_validation_part(tmp_path):
+    """Of networks that share a training, and no map of the test part is made."""
+    jobs = dry_run("--configfile", str(HOME / "config" / "refinement.yaml"), directory=tmp_path)
+    rules = [job.rule for job in jobs]
+    assert rules.count("train_segmenter") == 1
+    assert sorted(job.wildcards["model"] for job in jobs if job.rule == "evaluate_refinements") == ["c2cnn", "c2cnn_natural"]
+    assert not any("/test/" in path for job in jobs for path in job.outputs)
+
+
 def test_a_seed_after_a_models_name_trains_it_again_on_the_same_streets(tmp_path):
     jobs = dry_run("--configfile", str(HOME / "config" / "seeds.yaml"), directory=tmp_path)
     models = ["c2cnn", "c2cnn_seed_2", "c2cnn_seed_3"]
