@@ -256,7 +256,8 @@ def model_of(name):
     model = config["models"][base]
     if seed is None:
         return model
-    sources = {key: model[key] for key in ("weights", "initial") if "/" in (model[key] or "") and "_seed_" not in model[key]}
+    named = {key: model[key] for key in ("weights", "initial") if model[key] not in ("own", "shipped", None)}
+    sources = {key: source for key, source in named.items() if "_seed_" not in source}
     return model | {key: f"{source}_seed_{seed}" for key, source in sources.items()} | {"schedule": model["schedule"] | {"seed": seed}}
 
 
