@@ -22,7 +22,7 @@ def main(map_path: str, voxels_path: str, labels_path: str, turned_voxels_path: 
     """
     grid = VoxelGrid.load(voxels_path)
     labels = load_npy(labels_path, "label_voxels", len(grid))
-    turned, turned_labels = turn_map(lambda: (cloud.points for cloud in iterate_las(map_path)), grid, labels, **settings)
+    turned, turned_labels = turn_map(lambda: (cloud.points for cloud in iterate_las(map_path, with_fields=False)), grid, labels, **settings)
     logger.info("%d voxels in %d copies of a map of %d", len(turned), settings["n_yaws"], len(grid))
     turned.save(turned_voxels_path)
     save_npy(turned_labels_path, turned_labels)

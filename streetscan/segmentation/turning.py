@@ -5,10 +5,10 @@ Source: Nagy (2020), 2.4.2: "clone and randomly rotate the training samples arou
 labelled runs in a direction no training street has. Quarter turns of a sample cannot show that; turned points can.
 """
 
-import itertools
 from collections.abc import Callable, Iterable, Iterator
 
 import numpy as np
+from numba import njit
 
 from streetscan.classes import UNLABELLED
 from streetscan.segmentation.samples import vote_labels
@@ -51,9 +51,10 @@ def turn_map(
     def copies() -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
         """Points of each copy as they are and turned, and whether they are more than a tile's surroundings."""
         for points in read_points():
-            is_copied, is_own = (
-                (np.ones((2, n_yaws, len(points)), bool)) if tile_m is None else _share_out(points, n_yaws, tile_m, margin_m)
-            )
+            if tile_m is None:
+                is_copied = is_own = np.ones((n_yaws, len(points)), bool)
+            else:
+                is_copied, is_own = _share_out(points[:, :2], n_yaws, tile_m, margin_m)
             for i in range(n_yaws):
                 own = points[is_copied[i]]
                 yield own, _turn(own, (low + high) / 2, np.radians(90.0 * i / n_yaws), i * spacing_m), is_own[i][is_copied[i]]
@@ -72,18 +73,20 @@ def turn_map(
     return turned, turned_labels
 
 
-def _share_out(points: np.ndarray, n_yaws: int, tile_m: float, margin_m: float) -> tuple[np.ndarray, np.ndarray]:
-    """Twice (n_yaws, n) bool: the copies a point goes into, and the one its own tile goes into."""
-
-    def copy_of(xy: np.ndarray) -> np.ndarray:
-        tiles = np.floor(xy / tile_m).astype(np.int64)
-        return (tiles[:, 0] + 2 * tiles[:, 1]) % n_yaws
-
-    numbers = np.arange(n_yaws)[:, None]
-    is_own = copy_of(points[:, :2]) == numbers
-    is_copied = is_own.copy()
-    for aside in itertools.product((-margin_m, 0.0, margin_m), repeat=2):
-        is_copied |= copy_of(points[:, :2] + aside) == numbers
+@njit(cache=True)
+def _share_out(xy: np.ndarray, n_yaws: int, tile_m: float, margin_m: float) -> tuple[np.ndarray, np.ndarray]:
+    """Twice (n_yaws, n) bool: the copies each of (n, 2) points goes into, and the one its own tile goes into."""
+    is_copied, is_own = np.zeros((n_yaws, len(xy)), np.bool_), np.zeros((n_yaws, len(xy)), np.bool_)
+    for i in range(len(xy)):
+        for dx in range(-1, 2):
+            for dy in range(-1, 2):
+                column = int(np.floor((xy[i, 0] + dx * margin_m) / tile_m))
+                row = int(np.floor((xy[i, 1] + dy * margin_m) / tile_m))
+                # Neither the tile beside nor the one before it goes into the same copy.
+                copy = (column + 2 * row) % n_yaws
+                is_copied[copy, i] = True
+                if dx == 0 and dy == 0:
+                    is_own[copy, i] = True
     return is_copied, is_own
 
 
