@@ -48,5 +48,6 @@ def draw_thinning(folder: str | Path, scores: pd.DataFrame) -> list[Section]:
         curves = {title(split_column(column)[0]): f[column].tolist() for column in dict.fromkeys(part["column"])}
         caption = f"F of the object classes on fewer points of {dataset}, part {table.removeprefix('thinning_')}."
         figure = parameter_curve(f.index.tolist(), curves, "points kept [%]", log_scale=True)
+        figure.axes[0].legend(loc="lower center", bbox_to_anchor=(0.5, 1), ncols=2, frameon=False, fontsize="small")  # above the curves
         pictures.append(save_picture(figure, Path(folder), f"{table}_{dataset}", caption))
     return [Section("thinning", "Fewer points", _TEXT, pictures)] if pictures else []
