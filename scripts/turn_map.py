@@ -3,7 +3,7 @@
 import logging
 
 from streetscan.io.arrays import load_npy, save_npy
-from streetscan.io.las import iterate_las
+from streetscan.io.las import iterate_positions
 from streetscan.logs import logged
 from streetscan.segmentation.turning import turn_map
 from streetscan.voxels import VoxelGrid
@@ -22,7 +22,7 @@ def main(map_path: str, voxels_path: str, labels_path: str, turned_voxels_path: 
     """
     grid = VoxelGrid.load(voxels_path)
     labels = load_npy(labels_path, "label_voxels", len(grid))
-    turned, turned_labels = turn_map(lambda: (cloud.points for cloud in iterate_las(map_path, with_fields=False)), grid, labels, **settings)
+    turned, turned_labels = turn_map(lambda: iterate_positions(map_path), grid, labels, **settings)
     logger.info("%d voxels in %d copies of a map of %d", len(turned), settings["n_yaws"], len(grid))
     turned.save(turned_voxels_path)
     save_npy(turned_labels_path, turned_labels)

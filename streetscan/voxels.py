@@ -45,6 +45,7 @@ class VoxelGrid:
         counts: (V,) uint32, points in the voxel (thesis channel 1, N-015).
         mean_z_m: (V,) float64, mean height of the points, frame `map`.
         height_m: (V,) float32, mean height above the local ground (channel 2, N-016); NaN before it is estimated.
+        spread_s: (V,) float32, seconds between the first and the last of the points; NaN where times are unknown.
     """
 
     origin: np.ndarray
@@ -53,6 +54,11 @@ class VoxelGrid:
     counts: np.ndarray
     mean_z_m: np.ndarray
     height_m: np.ndarray
+    spread_s: np.ndarray | None = None
+
+    def __post_init__(self):
+        if self.spread_s is None:
+            self.spread_s = np.full(len(self.keys), np.nan, np.float32)
 
     def __len__(self) -> int:
         return len(self.keys)
@@ -68,7 +74,7 @@ class VoxelGrid:
         return int(np.prod(np.ptp(self.keys, axis=0).astype(np.int64) + 1)) if len(self) else 0
 
     def keys_of(self, points: np.ndarray) -> np.ndarray:
-        """(N, 3) int64 voxel keys of (N, 3) points in frame `map`."""
+        """(N, 3) int64 voxel keys of (N, 3) points in frame `map`; further columns do not count."""
         return _keys_of(points, self.origin, self.size_m)
 
     def find(self, keys: np.ndarray) -> np.ndarray:
@@ -77,7 +83,7 @@ class VoxelGrid:
 
     def select(self, mask: np.ndarray) -> "VoxelGrid":
         """The grid of the voxels a boolean mask keeps (sorted order stays)."""
-        arrays = (self.keys, self.counts, self.mean_z_m, self.height_m)
+        arrays = (self.keys, self.counts, self.mean_z_m, self.height_m, self.spread_s)
         return VoxelGrid(self.origin, self.size_m, *(a[mask] for a in arrays))
 
     def save(self, path: str | Path) -> None:
@@ -87,7 +93,8 @@ class VoxelGrid:
     @classmethod
     def load(cls, path: str | Path) -> "VoxelGrid":
         """Read what `save` wrote. BadInput when the file is something else."""
-        origin, size_m, *arrays = load_npz(path, ("origin", "size_m", "keys", "counts", "mean_z_m", "height_m"), "voxelize_map")
+        names = ("origin", "size_m", "keys", "counts", "mean_z_m", "height_m", "spread_s")
+        origin, size_m, *arrays = load_npz(path, names, "voxelize_map")
         return cls(origin, float(size_m), *arrays)
 
 
@@ -104,7 +111,7 @@ def voxelize(chunks: Iterable[np.ndarray], size_m: float, origin: np.ndarray | N
     """Count points and average heights per voxel; memory grows with the voxels, not with the points.
 
     Args:
-        chunks: (n, 3) float64 arrays, metres, frame `map`; together the map.
+        chunks: (n, 3) float64 arrays, metres, frame `map`, or (n, 4) with the points' times in seconds; together the map.
         size_m: voxel edge λ.
         origin: (3,) corner of voxel (0, 0, 0); by default the first point's position rounded down to whole kilometres
             (height: to whole 100 m), so that grids of neighbouring parts share it.
@@ -115,38 +122,44 @@ def voxelize(chunks: Iterable[np.ndarray], size_m: float, origin: np.ndarray | N
     """
     if not size_m > 0:
         raise BadInput("voxelize_map.size_m", f"{size_m} is not above 0", "give the voxel edge in metres, such as 0.1")
-    total = np.empty(0, np.int64), np.empty(0, np.int64), np.empty(0)
+    total = np.empty(0, np.int64), np.empty(0, np.int64), *np.empty((3, 0))
     parts: list[tuple[np.ndarray, ...]] = []
     for points in chunks:
         if len(points) == 0:
             continue
         if origin is None:
             steps = np.array([1000.0, 1000.0, 100.0])
-            origin = np.floor(points[0] / steps) * steps
+            origin = np.floor(points[0, :3] / steps) * steps
         packed = pack_keys(_keys_of(points, origin, size_m))
-        parts.append(_sum_by_key(packed, np.ones(len(packed), np.int64), points[:, 2] - origin[2]))
+        times_s = points[:, 3] if points.shape[1] == 4 else np.full(len(points), np.nan)
+        parts.append(_sum_by_key(packed, np.ones(len(packed), np.int64), points[:, 2] - origin[2], times_s, times_s))
         # Merging only when the parts outweigh the total keeps the sum of all merges proportional to the voxels.
         if sum(len(part[0]) for part in parts) > len(total[0]):
             total, parts = _merge([total, *parts]), []
     if origin is None:
         raise BadInput("the map", "holds no point", "give a map with points")
-    packed, counts, sums = _merge([total, *parts])
-    mean_z = origin[2] + sums / counts
-    return VoxelGrid(origin, size_m, unpack_keys(packed), counts.astype(np.uint32), mean_z, np.full(len(packed), np.nan, np.float32))
+    packed, counts, sums, first_s, last_s = _merge([total, *parts])
+    mean_z, unknown = origin[2] + sums / counts, np.full(len(packed), np.nan, np.float32)
+    # Many files hold one and the same time throughout, which is none.
+    spread_s = (last_s - first_s).astype(np.float32) if last_s.max() > first_s.min() else unknown.copy()
+    return VoxelGrid(origin, size_m, unpack_keys(packed), counts.astype(np.uint32), mean_z, unknown, spread_s)
 
 
 def _keys_of(points: np.ndarray, origin: np.ndarray, size_m: float) -> np.ndarray:
     # Maps come in whole millimetres, so that many points lie on a face between voxels. The millionth of a voxel gives
     # them all to the upper one; without it the last bit decides, and the same point read from two files could differ.
-    return np.floor((points - origin) / size_m + 1e-6).astype(np.int64)
+    return np.floor((points[:, :3] - origin) / size_m + 1e-6).astype(np.int64)
 
 
-def _merge(parts: list[tuple[np.ndarray, ...]]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _merge(parts: list[tuple[np.ndarray, ...]]) -> tuple[np.ndarray, ...]:
     return _sum_by_key(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
 
-def _sum_by_key(packed: np.ndarray, counts: np.ndarray, sums: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _sum_by_key(
+    packed: np.ndarray, counts: np.ndarray, sums: np.ndarray, first_s: np.ndarray, last_s: np.ndarray
+) -> tuple[np.ndarray, ...]:
     order = np.argsort(packed, kind="stable")
     packed = packed[order]
     starts = np.flatnonzero(np.r_[True, packed[1:] != packed[:-1]])
-    return packed[starts], np.add.reduceat(counts[order], starts), np.add.reduceat(sums[order], starts)
+    added = (np.add.reduceat(column[order], starts) for column in (counts, sums))
+    return packed[starts], *added, np.minimum.reduceat(first_s[order], starts), np.maximum.reduceat(last_s[order], starts)

@@ -5,7 +5,7 @@ other field the format has no place for) as extra dimensions, and the classes as
 """
 
 import struct
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -32,17 +32,19 @@ _READ_ERRORS = (
 _SKIPPED = {"X", "Y", "Z", "red", "green", "blue", *_STANDARD.values()}
 
 
-# What a position takes: the format keeps every field apart, and the others need not be unpacked.
+# The format keeps every field apart: what is not wanted need not be unpacked. All others come with the positions.
 _POSITIONS = laspy.DecompressionSelection.base() | laspy.DecompressionSelection.Z
+_LAYERS = {"intensity": laspy.DecompressionSelection.INTENSITY, "time_s": laspy.DecompressionSelection.GPS_TIME}
 
 
-def iterate_las(path: str | Path, chunk_points: int = CHUNK_POINTS, with_fields: bool = True) -> Iterator[PointCloud]:
+def iterate_las(path: str | Path, chunk_points: int = CHUNK_POINTS, fields: Sequence[str] | None = None) -> Iterator[PointCloud]:
     """A LAS/LAZ file as clouds of at most `chunk_points` points, in file order, in constant memory.
 
     Args:
         path: the file.
         chunk_points: points per cloud.
-        with_fields: False reads the positions alone, which takes half the time.
+        fields: those wanted beside the positions, of `intensity`, `time_s`, `return_number` and `n_returns`; positions alone take half the
+            time. None reads all.
     Yields:
         clouds with these fields: `intensity`, `time_s` (gps_time), `rgb` (N, 3) uint8, `return_number`, `n_returns` and
         `classification` where the point format has them, and the extra dimensions under their own names.
@@ -54,17 +56,23 @@ def iterate_las(path: str | Path, chunk_points: int = CHUNK_POINTS, with_fields:
         raise BadInput(path, "no such file", "check the data set's file and data_root")
     n_read = 0
     has_16_bit_colour = False
+    layers = laspy.DecompressionSelection.all() if fields is None else _POSITIONS
+    for name in fields or ():
+        layers |= _LAYERS.get(name, _POSITIONS)
     try:
-        with laspy.open(path, decompression_selection=laspy.DecompressionSelection.all() if with_fields else _POSITIONS) as reader:
+        with laspy.open(path, decompression_selection=layers) as reader:
             crs = reader.header.parse_crs()
             crs = None if crs is None else _crs_string(crs)
             if path.stat().st_size < reader.header.offset_to_point_data:
                 raise EOFError("the file ends within its header")
             for record in reader.chunk_iterator(chunk_points):
                 n_read += len(record)
+                if fields is not None:
+                    yield PointCloud(_points_of_record(record), _standard_fields(record, fields), crs)
+                    continue
                 # Some writers store 8-bit colours in the 16-bit fields; one value above 255 shows that this one does not.
-                has_16_bit_colour = has_16_bit_colour or (with_fields and _largest_colour(record) > 255)
-                yield _cloud_of_record(record, crs, has_16_bit_colour) if with_fields else PointCloud(_points_of_record(record), {}, crs)
+                has_16_bit_colour = has_16_bit_colour or _largest_colour(record) > 255
+                yield _cloud_of_record(record, crs, has_16_bit_colour)
             n_promised = reader.header.point_count
     except _READ_ERRORS as error:
         raise BadInput(path, f"not a complete LAS/LAZ file ({error})", "copy or export it again") from error
@@ -78,13 +86,21 @@ def read_las(path: str | Path) -> PointCloud:
     return concatenate(clouds) if clouds else PointCloud(np.empty((0, 3)))
 
 
-def iterate_labelled_las(path: str | Path, labels_path: str | Path, with_fields: bool = True) -> Iterator[tuple[PointCloud, np.ndarray]]:
+def iterate_positions(path: str | Path) -> Iterator[np.ndarray]:
+    """A LAS/LAZ file as (n, 3) float64 positions, metres, or (n, 4) with times, seconds, where the format has them; else as `iterate_las`."""
+    for cloud in iterate_las(path, fields=("time_s",)):
+        yield np.column_stack([cloud.points, *cloud.fields.values()])
+
+
+def iterate_labelled_las(
+    path: str | Path, labels_path: str | Path, fields: Sequence[str] | None = None
+) -> Iterator[tuple[PointCloud, np.ndarray]]:
     """A LAS/LAZ file as clouds together with their points' labels, in constant memory.
 
     Args:
         path: LAS/LAZ file of N points.
         labels_path: `.npy` with (N,) uint8 labels in the file's order, 255 unlabelled.
-        with_fields: see `iterate_las`.
+        fields: see `iterate_las`.
     Yields:
         a cloud and its (n,) labels.
     Raises:
@@ -92,7 +108,7 @@ def iterate_labelled_las(path: str | Path, labels_path: str | Path, with_fields:
     """
     labels = load_npy(labels_path, "the step that wrote it", count_points(path))
     n_read = 0
-    for cloud in iterate_las(path, with_fields=with_fields):
+    for cloud in iterate_las(path, fields=fields):
         yield cloud, labels[n_read : n_read + len(cloud)]
         n_read += len(cloud)
 
@@ -232,7 +248,7 @@ def _largest_colour(record: laspy.ScaleAwarePointRecord) -> int:
 
 def _cloud_of_record(record: laspy.ScaleAwarePointRecord, crs: str | None, has_16_bit_colour: bool) -> PointCloud:
     names = set(record.point_format.dimension_names)
-    fields = {ours: np.asarray(record[theirs]) for ours, theirs in _STANDARD.items() if theirs in names}
+    fields = _standard_fields(record, _STANDARD)
     if "red" in names:
         rgb = np.stack([np.asarray(record[c]) for c in ("red", "green", "blue")], axis=1)
         fields["rgb"] = (rgb >> 8 if has_16_bit_colour else rgb).astype(np.uint8)
@@ -240,6 +256,11 @@ def _cloud_of_record(record: laspy.ScaleAwarePointRecord, crs: str | None, has_1
     wanted = ["classification", *record.point_format.extra_dimension_names]
     fields |= {name: np.asarray(record[name]) for name in wanted if name not in _SKIPPED}
     return PointCloud(_points_of_record(record), fields, crs)
+
+
+def _standard_fields(record: laspy.ScaleAwarePointRecord, wanted: Iterable[str]) -> dict[str, np.ndarray]:
+    names = set(record.point_format.dimension_names)
+    return {ours: np.asarray(record[_STANDARD[ours]]) for ours in wanted if _STANDARD[ours] in names}
 
 
 def _points_of_record(record: laspy.ScaleAwarePointRecord) -> np.ndarray:

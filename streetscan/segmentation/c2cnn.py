@@ -21,10 +21,12 @@ from streetscan.io.weights import check_equal_settings, load_settings, load_weig
 from streetscan.segmentation.density import mean_counts_around
 from streetscan.voxels import VoxelGrid, find_sorted, pack_keys
 
-CHANNELS = ("count", "height", "occupancy")
+CHANNELS = ("count", "height", "occupancy", "spread")
 COUNT_SCALES = ("log", "raw", "local")
 # Points a voxel is said to hold where it holds as many as the voxels around it, in the scale `local`.
 _TYPICAL_COUNT = 10.0
+# Times between the points of a voxel enter as ln(1 + seconds / this): the two scanners of a van pass a place a second apart.
+_SPREAD_SCALE_S = 0.1
 # Three 3x3x3 convolutions without a pooling between them look at 7 voxels.
 SMALLEST_K = 7
 
@@ -46,7 +48,8 @@ class Settings:
         k: voxels an axis of the cube, odd.
         is_padded: whether convolutions see zeros beyond their input, so that they keep its size. Cubes then share nothing, and each is
             evaluated by itself.
-        channels: input channels, of `count` (points), `height` (above ground) and `occupancy` (1). OG-CNN is
+        channels: input channels, of `count` (points), `height` (above ground), `occupancy` (1) and `spread` (seconds from the first to the
+            last point: what moves is met once, what stands by every scanner and on every drive; not in the thesis). OG-CNN is
             occupancy alone.
         count_scale: `log` enters ln(1 + count), `raw` the count itself (the thesis' wording), `local` ln(1 + 10 count / mean count of the
             voxels in the square of columns below and above the cube), which no scanner and no speed changes.
@@ -191,21 +194,24 @@ def grid_channels(grid: VoxelGrid, settings: Settings) -> np.ndarray:
     """The network's input (V, C) float32 at all voxels of a map; see `input_channels`."""
     is_local = settings.count_scale == "local"
     around = mean_counts_around(grid.keys, grid.counts, settings.radius) if is_local else None
-    return input_channels(grid.counts, grid.height_m, settings, around)
+    return input_channels(grid.counts, grid.height_m, grid.spread_s, settings, around)
 
 
-def input_channels(counts: np.ndarray, height_m: np.ndarray, settings: Settings, around: np.ndarray | None = None) -> np.ndarray:
+def input_channels(
+    counts: np.ndarray, height_m: np.ndarray, spread_s: np.ndarray, settings: Settings, around: np.ndarray | None = None
+) -> np.ndarray:
     """The network's input at occupied voxels; an empty voxel is 0 in every channel.
 
     Args:
         counts: (V,) points in each voxel.
         height_m: (V,) float32 mean height above the local ground.
+        spread_s: (V,) float32 seconds from the first to the last point.
         settings: channels and their scaling.
         around: (V,) mean number of points of the voxels around each; only counts of scale `local` need it.
     Returns:
         (V, C) float32.
     Raises:
-        BadInput: the height channel is wanted and a height is unknown.
+        BadInput: the height channel is wanted and a height is unknown, or the spread and the points have no times.
     """
     columns = []
     for channel in settings.channels:
@@ -216,6 +222,10 @@ def input_channels(counts: np.ndarray, height_m: np.ndarray, settings: Settings,
                 n_unknown = int((~np.isfinite(height_m)).sum())
                 raise BadInput("the voxels", f"{n_unknown} have no height above ground", "run voxelize_map again")
             columns.append(np.clip(height_m / settings.height_scale_m, -1, 3))
+        elif channel == "spread":
+            if not np.isfinite(spread_s).all():
+                raise BadInput("the map", "its points have no times", "use a model without the channel spread")
+            columns.append(np.log1p(spread_s / _SPREAD_SCALE_S))
         else:
             columns.append(np.ones(len(counts)))
     return np.stack(columns, axis=1).astype(np.float32)

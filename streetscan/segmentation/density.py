@@ -48,7 +48,8 @@ def mean_counts_around(keys: np.ndarray, counts: np.ndarray, reach: int, share: 
 def thin_grid(grid: VoxelGrid, share: float, rng: np.random.Generator) -> tuple[VoxelGrid, np.ndarray]:
     """The voxels of a map of whose points each is kept with a probability.
 
-    ASSUME: the heights of the voxels and of the ground stay those of all points, which a share of them estimates.
+    ASSUME: the heights of the voxels and of the ground, and the seconds between a voxel's points, stay those of all points, which a
+    share of them estimates.
 
     Args:
         grid: the map's voxels.

@@ -227,7 +227,7 @@ class Part:
             is_wanted = find_sorted(np.unique(pack_keys(wanted)), pack_keys(coords)) >= 0
             counts = np.maximum(counts, is_wanted)
             around = None if self._around is None else self._around[drawn, rows]
-            channels = input_channels(counts, self.grid.height_m[rows], self.settings, around)[counts > 0]
+            channels = input_channels(counts, self.grid.height_m[rows], self.grid.spread_s[rows], self.settings, around)[counts > 0]
             coords = coords[counts > 0]
         return channels, coords, wanted, self.samples.labels[picked].astype(np.int64)
 

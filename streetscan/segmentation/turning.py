@@ -31,7 +31,7 @@ def turn_map(
     ASSUME: the yaws divide a quarter turn evenly; the quarter turns of training give the rest of the circle.
 
     Args:
-        read_points: gives the map's (n, 3) float64 points, metres, frame `map`, in chunks; called twice.
+        read_points: gives the map's (n, 3) float64 points, metres, frame `map`, or (n, 4) with times, in chunks; called twice.
         grid: the map's voxels with heights.
         labels: (V,) uint8 voxel labels, 255 unlabelled.
         n_yaws: number of copies.

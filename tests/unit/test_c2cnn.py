@@ -90,11 +90,20 @@ def test_a_missing_class_is_named():
 
 def test_input_channels_by_hand():
     counts, height = np.array([1, 7], np.uint32), np.array([5.0, -40.0], np.float32)
-    both = input_channels(counts, height, Settings())
+    both = input_channels(counts, height, np.full(len(counts), np.nan), Settings())
     np.testing.assert_allclose(both, [[np.log(2), 0.5], [np.log(8), -1.0]], rtol=1e-6)
-    raw = input_channels(counts, height, Settings(channels=("occupancy", "count"), count_scale="raw"))
+    raw = input_channels(counts, height, np.full(len(counts), np.nan), Settings(channels=("occupancy", "count"), count_scale="raw"))
     np.testing.assert_array_equal(raw, [[1, 1], [1, 7]])
     assert raw.dtype == np.float32
+
+
+def test_spread_by_hand_and_points_without_times():
+    counts, height = np.array([1, 2], np.uint32), np.zeros(2, np.float32)
+    settings = Settings(channels=("count", "spread"))
+    found = input_channels(counts, height, np.array([0.0, 0.9], np.float32), settings)
+    np.testing.assert_allclose(found[:, 1], [0, np.log(10)], rtol=1e-6)
+    with pytest.raises(BadInput, match="no times"):
+        input_channels(counts, height, np.full(2, np.nan, np.float32), settings)
 
 
 def test_local_counts_by_hand():
@@ -107,8 +116,8 @@ def test_local_counts_by_hand():
 def test_unknown_heights_are_refused_only_where_they_are_used():
     counts, height = np.array([1], np.uint32), np.array([np.nan], np.float32)
     with pytest.raises(BadInput, match="height"):
-        input_channels(counts, height, Settings())
-    assert input_channels(counts, height, Settings(channels=("count",))).shape == (1, 1)
+        input_channels(counts, height, np.full(len(counts), np.nan), Settings())
+    assert input_channels(counts, height, np.full(len(counts), np.nan), Settings(channels=("count",))).shape == (1, 1)
 
 
 def test_turning_by_hand():

@@ -33,7 +33,9 @@ def test_labels_are_those_of_the_cubes(grid):
     rows, labels, confidence = label_voxels(NETWORK, grid, 4.0)[:3]
     assert (rows == np.arange(len(grid))).all()
     picked = rows[::50]
-    cubes = extract_cubes(grid, input_channels(grid.counts, grid.height_m, NETWORK.settings), grid.keys[picked], np.zeros(len(picked)), 11)
+    cubes = extract_cubes(
+        grid, input_channels(grid.counts, grid.height_m, grid.spread_s, NETWORK.settings), grid.keys[picked], np.zeros(len(picked)), 11
+    )
     with torch.no_grad():
         shares = torch.softmax(NETWORK(torch.from_numpy(cubes)), 1).numpy()
     np.testing.assert_array_equal(labels[picked], shares.argmax(1))
@@ -44,7 +46,7 @@ def test_turns_are_looked_at_together(grid):
     """Every label is that of the mean over the turned cubes; a turned map has the same labels."""
     _, labels, confidence = label_voxels(NETWORK, grid, 4.0, n_turns=4)[:3]
     picked = np.arange(len(grid))[::50]
-    channels = input_channels(grid.counts, grid.height_m, NETWORK.settings)
+    channels = input_channels(grid.counts, grid.height_m, grid.spread_s, NETWORK.settings)
     with torch.no_grad():
         cubes = [extract_cubes(grid, channels, grid.keys[picked], np.full(len(picked), turn), 11) for turn in range(4)]
         shares = np.mean([torch.softmax(NETWORK(torch.from_numpy(c)), 1).numpy() for c in cubes], axis=0)

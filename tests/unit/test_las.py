@@ -6,7 +6,16 @@ from hypothesis import strategies as st
 
 from streetscan.clouds import PointCloud
 from streetscan.errors import BadInput
-from streetscan.io.las import count_points, iterate_labelled_las, iterate_las, open_las_writer, read_crs, read_las, write_las
+from streetscan.io.las import (
+    count_points,
+    iterate_labelled_las,
+    iterate_las,
+    iterate_positions,
+    open_las_writer,
+    read_crs,
+    read_las,
+    write_las,
+)
 
 
 def test_a_map_comes_back(tiny_world, tiny_map):
@@ -39,13 +48,19 @@ def test_chunks_hold_the_file_in_order(tiny_world, tiny_map):
 
 
 def test_positions_alone_are_the_same_positions(tiny_map):
-    whole, bare = (list(iterate_las(tiny_map, 10_000, with_fields)) for with_fields in (True, False))
+    whole, bare = (list(iterate_las(tiny_map, 10_000, fields)) for fields in (None, ()))
     assert len(whole) == len(bare) > 1
     for a, b in zip(whole, bare, strict=True):
         np.testing.assert_array_equal(a.points, b.points)
         assert a.fields
         assert not b.fields
         assert a.crs == b.crs
+
+
+def test_positions_with_times(tiny_map):
+    whole = read_las(tiny_map)
+    found = np.concatenate(list(iterate_positions(tiny_map)))
+    np.testing.assert_array_equal(found, np.column_stack([whole.points, whole.fields["time_s"]]))
 
 
 @pytest.mark.parametrize("point_format", [0, 3, 6, 7])
@@ -55,7 +70,9 @@ def test_positions_alone_are_read_from_every_format(tmp_path, point_format, name
     las.header.scales = [0.001] * 3
     las.x, las.y, las.z = np.random.default_rng(0).uniform(-100, 100, (3, 50)).round(3)
     las.write(tmp_path / name)
-    (cloud,) = iterate_las(tmp_path / name, with_fields=False)
+    (cloud,) = iterate_las(tmp_path / name, fields=())
+    (positions,) = iterate_positions(tmp_path / name)
+    assert positions.shape == (50, 3 if point_format == 0 else 4)
     np.testing.assert_allclose(cloud.points, np.stack([las.x, las.y, las.z], axis=1))
 
 

@@ -91,3 +91,15 @@ def test_a_tiles_edge_splits_no_point_and_gives_none_twice_to_its_own_copy():
     alone = np.all((points[:, :2] % 10.0 > 1.0) & (points[:, :2] % 10.0 < 9.0), axis=1)
     assert (is_copied[:, alone].sum(axis=0) == 1).all()
     assert (is_copied[:, ~alone].sum(axis=0) > 1).all()
+
+
+def test_turned_copies_keep_their_times():
+    points, grid, labels = make_map()
+    times_s = np.random.default_rng(3).uniform(0, 60, len(points))
+    timed = np.column_stack([points, times_s])
+    turned, _ = turn_map(lambda: [timed], grid, labels, 2)
+    second = turned.keys[:, 0] > grid.keys[:, 0].max()
+    for copy in (second, ~second):
+        several = turned.spread_s[copy & (turned.counts > 1)]
+        assert several.max() > 30
+        assert (turned.spread_s[copy & (turned.counts == 1)] == 0).all()

@@ -58,6 +58,21 @@ def test_every_point_is_counted_once_in_the_voxel_that_holds_it(tiny_world):
     np.testing.assert_allclose(grid.mean_z_m, sums / grid.counts, atol=1e-6)
 
 
+@pytest.mark.parametrize("n_chunks", [1, 2, 5])
+def test_seconds_between_the_points_of_a_voxel(n_chunks):
+    points = np.array(
+        [[0.05, 0.05, 0.05, 7.0], [0.15, 0.05, 0.05, 3.0], [0.06, 0.05, 0.05, 9.5], [0.15, 0.05, 0.05, 3.0], [0.07, 0.05, 0.05, 8.0]]
+    )
+    grid = voxelize(np.array_split(points, n_chunks), 0.1)
+    np.testing.assert_array_equal(grid.spread_s, [2.5, 0.0])
+
+
+def test_times_that_are_all_alike_or_missing_are_unknown():
+    points = np.random.default_rng(0).uniform(0, 1, (50, 3))
+    assert np.isnan(voxelize([points], 0.1).spread_s).all()
+    assert np.isnan(voxelize([np.column_stack([points, np.full(50, 4.0)])], 0.1).spread_s).all()
+
+
 def test_one_point_and_empty_chunks():
     grid = voxelize([np.empty((0, 3)), np.array([[5.0, -5.0, 3.0]]), np.empty((0, 3))], 1.0)
     assert len(grid) == 1
