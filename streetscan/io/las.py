@@ -87,7 +87,7 @@ def read_las(path: str | Path) -> PointCloud:
 
 
 def iterate_positions(path: str | Path) -> Iterator[np.ndarray]:
-    """A LAS/LAZ file as (n, 3) float64 positions in metres, (n, 4) with times in seconds where the format has them; else as `iterate_las`."""
+    """A LAS/LAZ file as (n, 3) float64 positions in metres, (n, 4) with times in seconds where there are any; else as `iterate_las`."""
     for cloud in iterate_las(path, fields=("time_s",)):
         yield np.column_stack([cloud.points, *cloud.fields.values()])
 
