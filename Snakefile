@@ -19,14 +19,14 @@ include: "rules/benchmarks.smk"
 
 
 rule all:
-    """Tables and report of the run, the products of every labelled map, poses and streets of registered drives, poses on maps, clouds of keyframes, calibrations, and a page for every drive."""
+    """Tables and report of the run, the products of every labelled map (of the first of a method's seeds), poses and streets of registered drives, poses on maps, clouds of keyframes, calibrations, and a page for every drive."""
     default_target: True
     input:
         [f"results/tabulate_benchmarks/{config['run']}/report.html"]
-        if LABELLED or TUNED or REGISTERED or SCORED_LOCALIZATIONS or SCORED_CALIBRATIONS
+        if LABELLED or TUNED or REFINED or THINNED or REGISTERED or SCORED_LOCALIZATIONS or SCORED_CALIBRATIONS
         else [],
-        for_pairs("results/clean_map/{dataset}/{split}/{model}/static.laz", LABELLED),
-        for_pairs("results/extract_objects/{dataset}/{split}/{model}/objects.gpkg", LABELLED),
+        for_pairs("results/clean_map/{dataset}/{split}/{model}/static.laz", SHOWN),
+        for_pairs("results/extract_objects/{dataset}/{split}/{model}/objects.gpkg", SHOWN),
         for_drives("results/register_frames/{drive}/{registrar}/poses.tum", REGISTERED),
         for_drives("results/merge_frames/{drive}/{registrar}/tiles", MERGED),
         for_keyframes("results/reconstruct_keyframe/{drive}/{keyframe}/summary.csv", CALIBRATED),

@@ -2,7 +2,6 @@
 
 import argparse
 import logging
-from pathlib import Path
 
 import pandas as pd
 
@@ -14,6 +13,7 @@ from benchmarks.bench_registration import bench_registration
 from benchmarks.bench_sensors import bench_sensors
 from benchmarks.bench_simulation import bench_simulation
 from benchmarks.bench_textures import bench_textures
+from streetscan.benchmarks.speed import renew_rows
 from streetscan.io.tables import save_tables
 
 COLUMNS = ["benchmark", "metric", "value", "unit", "peer", "n"]
@@ -21,7 +21,7 @@ logger = logging.getLogger("streetscan.bench")
 
 
 def main() -> None:
-    """Run the benchmarks named on the command line, or all, and write their rows into results/bench.csv."""
+    """Run the benchmarks named on the command line, or all, and write the rows of each into results/bench.csv once it is done."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--data-root", default="../shared/data", help="folder with real recordings")
     parser.add_argument("--output", default="results/bench.csv")
@@ -41,19 +41,11 @@ def main() -> None:
     chosen = arguments.names or list(benchmarks)
     if unknown := set(chosen) - set(benchmarks):
         parser.error(f"no benchmark named {', '.join(sorted(unknown))}; choose of {', '.join(benchmarks)}")
-    rows = []
     for name in chosen:
         logger.info("benchmark %s", name)
-        rows += benchmarks[name]()
-    table = pd.DataFrame(rows)[COLUMNS]
-    save_tables({Path(arguments.output): renew(Path(arguments.output), table)})
-    print(table.to_string(index=False))
-
-
-def renew(path: Path, table: pd.DataFrame) -> pd.DataFrame:
-    """The table a file holds, if any, with the rows of benchmarks that were run again replaced: parts of a long list can be run alone."""
-    known = pd.read_csv(path, keep_default_na=False) if path.is_file() else table.iloc[:0]
-    return pd.concat([known[~known["benchmark"].isin(table["benchmark"])], table], ignore_index=True)
+        table = pd.DataFrame(benchmarks[name]())[COLUMNS]
+        save_tables({arguments.output: renew_rows(arguments.output, table)})
+        print(table.to_string(index=False), flush=True)
 
 
 if __name__ == "__main__":

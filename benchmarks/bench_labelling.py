@@ -3,16 +3,23 @@
 import json
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 import torch
+import yaml
 from torch.nn.functional import cross_entropy
 
-from streetscan.segmentation.c2cnn import C2CNN, Settings, extract_cubes, grid_channels
+from benchmarks.bench_simulation import CITY
+from scripts import simulate_city
+from streetscan.io.las import iterate_las
+from streetscan.segmentation.c2cnn import C2CNN, Settings, extract_cubes, grid_channels, load_network
+from streetscan.segmentation.ground import add_heights
 from streetscan.segmentation.inference import label_voxels
 from streetscan.segmentation.sparse import open_workers, sparse_logits
 from streetscan.segmentation.training import Part, Samples
@@ -23,36 +30,54 @@ TILE_M = 12.8
 SEGMENT_M = 25.0
 # Points on a metre of the made-up street at the density of a mobile laser scan.
 POINTS_PER_M = 38_000
-N_CUBES = 512
+# Cubes in a batch that is timed, and voxels whose labels and logits are compared: one that differs is a hundredth of a per cent.
+N_CUBES, N_COMPARED = 512, 10_000
+# Length of the city's street that is labelled, and the network: the one that comes with streetscan.
+CITY_M = 60.0
+WEIGHTS = tuple(ROOT / "weights" / "c2cnn" / name for name in ("weights.safetensors", "settings.yaml"))
 PATCH_VOXELS = 15
 N_THREADS = 2
 # The scene of thesis 2.5.5 (N-047): 56 m x 111 m, 19 M points, 1.75 M voxels, 3 minutes on a GTX 1080.
 SCENE_M, SCENE_POINTS, SCENE_PAPER_S = (111.0, 56.0), 19_000_000, 180.0
-# Sides of cubes whose training memory is measured; the thesis needs 969 MB of device memory at 23, 10 GB at 70 (N-045).
+# Sides of cubes whose training memory is measured, and the thesis' device memory, which it has for 23 and 70 (N-045), in MiB.
 KS = (11, 23, 41, 69)
+DEVICE_MIB = {23: 969e6 / 2**20, 69: 10e9 / 2**20}
 
 
 def run_labelling_benchmark(
-    data_root: str | Path = ROOT.parent / "shared" / "data", sizes: tuple[int, ...] = (1, 4, 16, 64), ks: tuple[int, ...] = KS
+    data_root: str | Path = ROOT.parent / "shared" / "data",
+    sizes: tuple[float, ...] = (1, 4, 16, 64),
+    ks: tuple[int, ...] = KS,
+    city_m: float = CITY_M,
+    scene_points: int = SCENE_POINTS,
+    n_compared: int = N_COMPARED,
 ) -> list[dict]:
-    """Speed of labelling and training on a made-up dense street and on Oakland, labelling of maps of several sizes, training memory.
+    """Speed of labelling and training on the city, a made-up dense street and Oakland; maps of several sizes; training memory.
 
-    The peer gets its cubes already cut out, so that only the network is compared.
+    The peer gets its cubes already cut out, so that only the network is compared, and as many threads.
 
     Args:
         data_root: folder of the recordings; Oakland is left out where it is missing.
         sizes: millions of points of the maps whose labelling is timed, each in a process of its own.
         ks: sides of the cubes whose training memory is measured, each in a process of its own.
+        city_m: length of the city's street.
+        scene_points: points of the scene of thesis 2.5.5.
+        n_compared: voxels of each grid whose labels and logits are compared with those of their cubes.
     Returns:
         rows benchmark, metric, value, unit, peer, n. Ratios are pairs measured in turn in one run.
     """
-    rows = _bench_grid("street", _street_grid(2_000_000))
+    rows = _bench_grid("city", _city_grid(city_m), n_compared) + _bench_grid("street", _street_grid(2_000_000), n_compared)
     oakland = Path(data_root) / "oakland" / "oakland_part2_ac.xyz_label_conf.xz"
     if oakland.is_file():
-        rows += _bench_grid("oakland", _with_heights(voxelize([np.loadtxt(oakland, usecols=(0, 1, 2))], 0.1)))
+        rows += _bench_grid("oakland", _with_heights(voxelize([np.loadtxt(oakland, usecols=(0, 1, 2))], 0.1)), n_compared)
+    paces = []
     for millions in sizes:
-        rows += _label_rows(f"label_{millions}m_points", _in_process("size", millions))
-    scene = _in_process("scene", 1)
+        found = _in_process("size", millions)
+        rows += _label_rows(f"label_{millions:g}m_points", found)
+        paces.append(found["time_s"] / found["n_points"])
+    growth = paces[-1] / paces[0]
+    rows.append(_row(f"label_{sizes[-1]:g}m_points", "time per point, over that of the smallest", growth, "", "", found["n_points"]))
+    scene = _in_process("scene", scene_points)
     rows += _label_rows("label_scene_of_2_5_5", scene)
     rows.append(_row("label_scene_of_2_5_5", "time", SCENE_PAPER_S, "s", "thesis, GTX 1080", SCENE_POINTS))
     rows.append(
@@ -64,6 +89,8 @@ def run_labelling_benchmark(
             _row(f"train_k{k}", "peak_memory", found["peak_mib"], "MiB", "", found["n_samples"]),
             _row(f"train_k{k}", "speed", found["n_samples"] / found["time_s"], "samples/s", "", found["n_samples"]),
         ]
+        if k in DEVICE_MIB:
+            rows.append(_row(f"train_k{k}", "peak_memory", DEVICE_MIB[k], "MiB", "thesis, GPU", 1))
     return rows
 
 
@@ -83,9 +110,19 @@ def _label_rows(name: str, found: dict) -> list[dict]:
     ]
 
 
-def _bench_grid(name: str, grid: VoxelGrid) -> list[dict]:
-    settings = Settings()
-    network, rng = C2CNN(settings, seed=1).eval(), np.random.default_rng(0)
+@contextmanager
+def _torch_threads(n_threads: int) -> Iterator[None]:
+    n_before = torch.get_num_threads()
+    torch.set_num_threads(n_threads)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(n_before)
+
+
+def _bench_grid(name: str, grid: VoxelGrid, n_compared: int) -> list[dict]:
+    network, rng = load_network(*WEIGHTS).eval(), np.random.default_rng(0)
+    settings = network.settings
     channels = grid_channels(grid, settings)
     picked = rng.choice(len(grid), N_CUBES, replace=False)
     cubes = torch.from_numpy(extract_cubes(grid, channels, grid.keys[picked], np.zeros(N_CUBES, int), settings.k))
@@ -93,30 +130,40 @@ def _bench_grid(name: str, grid: VoxelGrid) -> list[dict]:
 
     predictions = label_voxels(network, grid, TILE_M)
     ours_s = _best(lambda: label_voxels(network, grid, TILE_M, n_threads=N_THREADS))
-    with torch.inference_mode():
-        expected = network(cubes)
+    with torch.inference_mode(), _torch_threads(N_THREADS):
         cubes_s = _best(lambda: network(cubes)) / N_CUBES * len(grid)
-        logits = sparse_logits(network, channels, grid.keys, grid.keys[picked])
+        compared = _compare(network, grid, channels, predictions[1], rng.permutation(len(grid))[:n_compared])
     scattered = _part(grid, picked, labels.numpy(), settings)
     dense = _dense_part(grid, settings, rng)
     with open_workers(N_THREADS) as workers:
         scattered_s = _best(lambda: _step(network, scattered, workers)) / N_CUBES
         dense_s = _best(lambda: _step(network, dense, workers)) / len(dense.samples)
-    cube_s = _best(lambda: cross_entropy(network(cubes), labels).backward()) / N_CUBES
+    with _torch_threads(N_THREADS):
+        cube_s = _best(lambda: cross_entropy(network(cubes), labels).backward()) / N_CUBES
     n = len(grid)
-    is_equal = predictions[1][picked] == expected.argmax(1).numpy()
     return [
         _row(f"label_{name}", "speed", n / ours_s, "voxels/s", "", n),
         _row(f"label_{name}", "speed", n / cubes_s, "voxels/s", "cube by cube", N_CUBES),
         _row(f"label_{name}", "ratio", cubes_s / ours_s, "times as fast", "cube by cube", n),
-        _row(f"label_{name}", "equal_labels", is_equal.mean(), "share", "cube by cube", N_CUBES),
-        _row(f"label_{name}", "largest_difference", float((logits - expected).abs().max()), "logit", "cube by cube", N_CUBES),
+        _row(f"label_{name}", "equal_labels", compared[0], "share", "cube by cube", n_compared),
+        _row(f"label_{name}", "largest_difference", compared[1], "logit", "cube by cube", n_compared),
         _row(f"train_{name}", "scattered_speed", 1 / scattered_s, "samples/s", "", N_CUBES),
         _row(f"train_{name}", "dense_speed", 1 / dense_s, "samples/s", "", len(dense.samples)),
         _row(f"train_{name}", "speed", 1 / cube_s, "samples/s", "cube by cube", N_CUBES),
         _row(f"train_{name}", "scattered_ratio", cube_s / scattered_s, "times as fast", "cube by cube", N_CUBES),
         _row(f"train_{name}", "dense_ratio", cube_s / dense_s, "times as fast", "cube by cube", len(dense.samples)),
     ]  # fmt: skip
+
+
+def _compare(network: C2CNN, grid: VoxelGrid, channels: np.ndarray, labels: np.ndarray, rows: np.ndarray) -> tuple[float, float]:
+    """Share of voxels whose label is that of their cube, and the largest difference of a logit; cubes of one batch in memory at a time."""
+    n_equal, largest = 0, 0.0
+    for batch in np.array_split(rows, -(-len(rows) // N_CUBES)):
+        keys = grid.keys[batch]
+        expected = network(torch.from_numpy(extract_cubes(grid, channels, keys, np.zeros(len(batch), int), network.settings.k)))
+        n_equal += int((labels[batch] == expected.argmax(1).numpy()).sum())
+        largest = max(largest, float((sparse_logits(network, channels, grid.keys, keys) - expected).abs().max()))
+    return n_equal / len(rows), largest
 
 
 def _part(grid: VoxelGrid, rows: np.ndarray, labels: np.ndarray, settings: Settings) -> Part:
@@ -182,14 +229,24 @@ def _street(n_points: int, width_m: float = 20.0, points_per_m: float = POINTS_P
         yield np.concatenate([ground, *facades, *things]) + np.array([i * SEGMENT_M, 0, 0])
 
 
+def _city_grid(length_m: float) -> VoxelGrid:
+    """A street of the simulated city, as the workflow voxelizes it."""
+    voxelizing = yaml.safe_load((ROOT / "config" / "default.yaml").read_text())["voxelize_map"]
+    with tempfile.TemporaryDirectory() as folder:
+        files = [Path(folder) / name for name in ("map.laz", "labels.npy", "instances.npy")]
+        simulate_city.main(*files, CITY["simulation"], "validation", {"length_m": length_m}, seed=1)
+        grid = voxelize((cloud.points for cloud in iterate_las(files[0])), voxelizing["size_m"])
+    return add_heights(grid, **voxelizing["ground"])
+
+
 def _street_grid(n_points: int) -> VoxelGrid:
     return _with_heights(voxelize(_street(n_points), 0.1))
 
 
-def _scene_grid() -> VoxelGrid:
-    """The made-up street as wide and as long as the thesis' scene, with as many points."""
+def _scene_grid(n_points: int) -> VoxelGrid:
+    """The made-up street as wide and as long as the thesis' scene."""
     length_m, width_m = SCENE_M
-    clouds = _street(SCENE_POINTS, width_m, SCENE_POINTS / length_m)
+    clouds = _street(n_points, width_m, n_points / length_m)
     return _with_heights(voxelize((points[points[:, 0] < length_m] for points in clouds), 0.1))
 
 
@@ -237,7 +294,7 @@ def _memory_mib(name: str) -> float:
 if __name__ == "__main__":
     measure = {
         "size": lambda m: _label(_street_grid(int(float(m) * 1e6))),
-        "scene": lambda _: _label(_scene_grid()),
+        "scene": lambda n: _label(_scene_grid(int(float(n)))),
         "train": lambda k: _train(int(float(k))),
     }
     print(json.dumps(measure[sys.argv[1]](sys.argv[2])))

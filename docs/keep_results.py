@@ -14,6 +14,9 @@ import numpy as np
 import pandas as pd
 import yaml
 
+from streetscan.benchmarks.scores import label_scores, read_evaluations
+from streetscan.benchmarks.speed import renew_rows
+from streetscan.io.tables import save_tables
 from streetscan.simulation.layout import GENERATOR_VERSION
 
 HOME = Path(__file__).resolve().parent.parent
@@ -66,13 +69,28 @@ def ship_weights(name: str, run: str, commit: str, target: Path) -> None:
     dataset, model = name.split("/")
     for file in ("weights.safetensors", "settings.yaml"):
         shutil.copy(HOME / "results/calibrate_segmenter" / name / file, target / file)
+    # The tables of a run may hold means over seeds; these are the network's own.
+    tables = [HOME / "results/evaluate_labels" / name / f"{table}.csv" for table in ("scores", "confusion")]
+    own = [r for r in label_scores(read_evaluations(*tables, dataset, model, 0)[0]) if r["column"].endswith(" f")]
     scores = pd.read_csv(HOME / "results/tabulate_benchmarks" / run / "scores.csv", dtype={"seed": str})
-    own = scores[(scores["table"] == "nagy_2_3") & (scores["dataset"] == dataset) & scores["column"].eq(f"{model} f")]
+    method, _, seed = model.partition("_seed_")
+    seeds = scores.loc[(scores["dataset"] == dataset) & (scores["method"] == method), "seed"].iloc[0].split(";")
     origin = {
-        "network": name, "run": run, "commit": commit, "generator_version": GENERATOR_VERSION, "seed": own["seed"].iloc[0],
-        "f_even_percent": {row: round(float(f), 1) for row, f in zip(own["row"], own["ours"], strict=True)},
+        "network": name, "run": run, "commit": commit, "generator_version": GENERATOR_VERSION, "seed": seed or seeds[0],
+        "f_even_percent": {r["row"]: round(float(r["ours"]), 1) for r in own},
     }  # fmt: skip
     (target / "origin.yaml").write_text(yaml.safe_dump(origin, sort_keys=False))
+
+
+def keep_benchmarks(measured: Path, target: Path, commit: str) -> None:
+    """Put a table of benchmarks into the kept one; what was not run again stays, and the kept text says which rows are of which commit."""
+    table = pd.read_csv(measured, keep_default_na=False)
+    renewed = renew_rows(target / "bench.csv", table)
+    text = target / "bench.txt"
+    before = text.read_text() if len(renewed) > len(table) else ""
+    rows = f" (rows {', '.join(dict.fromkeys(table['benchmark']))})" if before else ""
+    save_tables({target / "bench.csv": renewed})
+    text.write_text(f"{before}command: python -m benchmarks{rows}\ncommit: {commit}\nhardware: {describe_hardware()}\n")
 
 
 def main() -> None:
@@ -103,8 +121,7 @@ def main() -> None:
     if arguments.ship:
         ship_weights(arguments.ship, (arguments.runs or finished)[0], commit, HOME / "weights/c2cnn")
     if (HOME / "results/bench.csv").is_file():
-        shutil.copy(HOME / "results/bench.csv", KEPT)
-        (KEPT / "bench.txt").write_text(f"command: make bench\ncommit: {commit}\nhardware: {describe_hardware()}\n")
+        keep_benchmarks(HOME / "results/bench.csv", KEPT, commit)
 
 
 if __name__ == "__main__":

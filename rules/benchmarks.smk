@@ -30,10 +30,9 @@ rule evaluate_thinning:
         code=library("evaluate_thinning"),
         voxels="results/voxelize_map/{dataset}/{split}/voxels.npz",
         labels="results/label_voxels/{dataset}/{split}/labels.npy",
-        networks=lambda w: [file for model in config["evaluate_thinning"]["models"] for file in files_of_model(w.dataset, model)],
+        networks=lambda w: [file for model in thinned_on(w.dataset) for file in files_of_model(w.dataset, model)],
     output:
         scores="results/evaluate_thinning/{dataset}/{split}/scores.csv",
-        figure="results/evaluate_thinning/{dataset}/{split}/thinning.svg",
     log:
         "results/evaluate_thinning/{dataset}/{split}/scores.log",
     conda:
@@ -43,10 +42,37 @@ rule evaluate_thinning:
         mem_mb=3000,
     params:
         **config["evaluate_thinning"],
+        models=lambda w: thinned_on(w.dataset),
         seed=config["seed"],
         n_threads=config["n_threads"],
     script:
         "../scripts/evaluate_thinning.py"
+
+
+rule evaluate_refinements:
+    """What four quarter turns and smoothed labels gain on the validation part, and the time they cost."""
+    input:
+        code=library("evaluate_refinements"),
+        voxels="results/voxelize_map/{dataset}/validation/voxels.npz",
+        labels="results/label_voxels/{dataset}/validation/labels.npy",
+        network=network_of,
+    output:
+        scores="results/evaluate_refinements/{dataset}/{model}/scores.csv",
+    log:
+        "results/evaluate_refinements/{dataset}/{model}/scores.log",
+    conda:
+        "../envs/streetscan.yaml"
+    threads: config["n_threads"]
+    resources:
+        mem_mb=3000,
+    params:
+        smoothing=config["label_map"]["smoothing"],
+        tile_m=config["label_map"]["tile_m"],
+        n_per_class=config["evaluate_labels"]["n_per_class"],
+        seed=config["seed"],
+        n_threads=config["n_threads"],
+    script:
+        "../scripts/evaluate_refinements.py"
 
 
 rule evaluate_views:
@@ -330,7 +356,9 @@ rule tabulate_benchmarks:
         histories=[f"{training_of(d, m)}/history.csv" for d, m in TRAINED],
         network_scores=for_pairs("results/calibrate_segmenter/{dataset}/{model}/scores.csv", NETWORKS),
         network_reliabilities=for_pairs("results/calibrate_segmenter/{dataset}/{model}/reliability.csv", NETWORKS),
-        views=for_pairs("results/evaluate_views/{dataset}/{split}/{model}/views", LABELLED),
+        refinements=for_pairs("results/evaluate_refinements/{dataset}/{model}/scores.csv", [p for p in NETWORKS if p in REFINED]),
+        thinnings=[f"results/evaluate_thinning/{name}/scores.csv" for name in THINNED_PARTS],
+        views=for_pairs("results/evaluate_views/{dataset}/{split}/{model}/views", SHOWN),
         realism=list(realism_tables().values()),
         densities=expand("results/evaluate_density/{dataset}/density.csv", dataset=STATIC_SCANS),
         registrations=for_drives("results/evaluate_registration/{drive}/{registrar}/scores.csv", REGISTERED),
@@ -365,10 +393,11 @@ rule tabulate_benchmarks:
     resources:
         mem_mb=2000,
     params:
-        evaluated=EVALUATED,
-        trained=TRAINED,
+        evaluated=with_seeds(EVALUATED),
+        trained=methods_of(TRAINED),
         known=[network_facts(*pair) for pair in NETWORKS],
-        viewed=LABELLED,
+        thinned={"parts": THINNED_PARTS, "names": {m: (base_of(m), seed_of(m)) for _, m in THINNED}},
+        viewed=methods_of(SHOWN),
         registered=REGISTERED,
         merged=MERGED,
         localized=SCORED_LOCALIZATIONS,

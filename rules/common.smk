@@ -76,7 +76,17 @@ def check_config():
 
 check_config()
 
-SELECTIONS = ("labelled_maps", "tuned_models", "drives", "registered_drives", "merged_drives", "calibrated_drives", "localized_drives")
+SELECTIONS = (
+    "labelled_maps",
+    "tuned_models",
+    "refined_models",
+    "thinned_models",
+    "drives",
+    "registered_drives",
+    "merged_drives",
+    "calibrated_drives",
+    "localized_drives",
+)
 if not any(config[key] for key in (*SELECTIONS, "datasets_folder", "drives_folder")):
     config.update(config["first_run"])
 elif config["run"] == "default":
@@ -222,21 +232,57 @@ def network_files(source, step="calibrate_segmenter"):
 BASELINES = ("lightgbm",)
 
 
+def split_seed(model):
+    """A model's name without the seed it may end in, and that seed: `c2cnn_seed_2` is c2cnn trained with seed 2; None without."""
+    base, mark, seed = model.rpartition("_seed_")
+    if mark and not seed.isdigit():
+        raise WorkflowError(f"model '{model}': what follows _seed_ is no whole number; write {base}_seed_2 to train {base} with seed 2.")
+    return (base, int(seed)) if mark else (model, None)
+
+
+def base_of(model):
+    """The method a model is, whatever the seed of its training."""
+    return split_seed(model)[0]
+
+
+def is_baseline(model):
+    """Whether a model is a reference method that is no network."""
+    return base_of(model) in BASELINES
+
+
+def model_of(name):
+    """A network as the config describes it. A seed in its name is that of its training, and of the networks it takes or starts from."""
+    base, seed = split_seed(name)
+    model = config["models"][base]
+    if seed is None:
+        return model
+    named = {key: model[key] for key in ("weights", "initial") if model[key] not in ("own", "shipped", None)}
+    sources = {key: source for key, source in named.items() if "_seed_" not in source}
+    return model | {key: f"{source}_seed_{seed}" for key, source in sources.items()} | {"schedule": model["schedule"] | {"seed": seed}}
+
+
+def seed_of(model):
+    """The seed a model is trained with."""
+    seed = split_seed(model)[1]
+    schedule = {} if is_baseline(model) else model_of(model)["schedule"]
+    return schedule.get("seed", config["seed"]) if seed is None else seed
+
+
 def training_of(dataset, model):
     """The folder of a model's training."""
-    return f"results/{'train_baseline' if model in BASELINES else 'train_segmenter'}/{dataset}/{model}"
+    return f"results/{'train_baseline' if is_baseline(model) else 'train_segmenter'}/{dataset}/{model}"
 
 
 def is_calibrated(model):
     """Whether a model's confidence is calibrated on the data set it labels: it was trained there, or asks for it by its `prior_power`."""
-    return config["models"][model]["weights"] == "own" or "prior_power" in config["models"][model]
+    return model_of(model)["weights"] == "own" or "prior_power" in model_of(model)
 
 
 def files_of_model(dataset, model):
     """What a model labels a data set with: a network of the data set's own training, another one's, or shipped; or a baseline's trees."""
-    if model in BASELINES:
+    if is_baseline(model):
         return [f"{training_of(dataset, model)}/{name}" for name in ("model.txt", "settings.yaml")]
-    return network_files(f"{dataset}/{model}" if is_calibrated(model) else config["models"][model]["weights"])
+    return network_files(f"{dataset}/{model}" if is_calibrated(model) else model_of(model)["weights"])
 
 
 def network_of(wildcards):
@@ -246,31 +292,32 @@ def network_of(wildcards):
 
 def trained_network(wildcards):
     """The network, as trained, that is calibrated for a data set."""
-    source = config["models"][wildcards.model]["weights"]
+    source = model_of(wildcards.model)["weights"]
     return network_files(f"{wildcards.dataset}/{wildcards.model}" if source == "own" else source, "train_segmenter")
 
 
 def initial_network(wildcards):
     """The network a training starts from; none starts from random weights."""
-    source = config["models"][wildcards.model]["initial"]
+    source = model_of(wildcards.model)["initial"]
     return network_files(source, "train_segmenter") if source else []
 
 
 def schedule_of(wildcards):
     """`train_segmenter.schedule` with what the model changes in it."""
-    return config["train_segmenter"]["schedule"] | {"seed": config["seed"]} | config["models"][wildcards.model]["schedule"]
+    return config["train_segmenter"]["schedule"] | {"seed": config["seed"]} | model_of(wildcards.model)["schedule"]
 
 
 def smoothing_of(wildcards):
     """`label_map.smoothing` for a model whose labels are smoothed, else None."""
-    return config["label_map"]["smoothing"] if config["models"].get(wildcards.model, {}).get("is_smoothed") else None
+    is_smoothed = not is_baseline(wildcards.model) and model_of(wildcards.model).get("is_smoothed")
+    return config["label_map"]["smoothing"] if is_smoothed else None
 
 
 def structure_of(wildcards):
     """`train_segmenter.network` with what the model changes in it and its channels, or what a baseline looks at."""
-    if wildcards.model in BASELINES:
+    if is_baseline(wildcards.model):
         return {"neighbours": config["train_baseline"]["neighbours"]}
-    model = config["models"][wildcards.model]
+    model = model_of(wildcards.model)
     return config["train_segmenter"]["network"] | model.get("network", {}) | {"channels": model["channels"]}
 
 
@@ -289,11 +336,14 @@ def check_pair(name, model, needs_map=True, after=()):
     """Refuse a (data set, model) pair that cannot be made, in one sentence that says why; `after` are the pairs that start from it."""
     if (name, model) in after:
         raise WorkflowError(f"models: '{name}/{model}' starts from itself; set its weights or initial to another network.")
-    known = config["models"] | dict.fromkeys(BASELINES, {"weights": "own", "initial": None})
-    if model not in known:
-        raise WorkflowError(f"labelled_maps: model '{model}' is not in the config; use one of {', '.join(known)}.")
-    parts, truth, source = set(facts(name)["parts"]), facts(name)["truth"], known[model]["weights"]
-    is_own = source == "own" or "prior_power" in known[model]
+    known, (base, seed) = [*config["models"], *BASELINES], split_seed(model)
+    if base not in known:
+        raise WorkflowError(f"labelled_maps: model '{base}' is not in the config; use one of {', '.join(known)}.")
+    described = {"weights": "own", "initial": None} if is_baseline(model) else model_of(model)
+    parts, truth, source = set(facts(name)["parts"]), facts(name)["truth"], described["weights"]
+    if seed is not None and source == "shipped":
+        raise WorkflowError(f"labelled_maps: model '{model}': the shipped network is not trained again; use {base}.")
+    is_own = source == "own" or "prior_power" in described
     if needs_map and not parts & {"test", "all"}:
         raise WorkflowError(f"labelled_maps: data set '{name}' has no part 'test' or 'all' to label; add one to its file.")
     if is_own and (truth != "labels" or not {"train", "validation"} <= parts):
@@ -301,7 +351,7 @@ def check_pair(name, model, needs_map=True, after=()):
             f"labelled_maps: model '{model}' trains on data set '{name}', which lacks labels or a part 'train' or 'validation'; "
             "use c2cnn_shipped, or add them to its file."
         )
-    for other in {source, known[model]["initial"]} - {"own", "shipped", None}:
+    for other in {source, described["initial"]} - {"own", "shipped", None}:
         check_pair(*other.split("/"), needs_map=False, after=(*after, (name, model)))
 
 
@@ -337,25 +387,64 @@ def check_registrar(drive, registrar, where):
         raise WorkflowError(f"{where}: registrar '{registrar}' is not in the config; use one of {', '.join(config['registrars'])}.")
 
 
-LABELLED, TUNED = pairs(config["labelled_maps"]), pairs(config["tuned_models"])
+def with_seeds(selected):
+    """(data set, method, seed) of (data set, model) pairs."""
+    return [(d, base_of(m), seed_of(m)) for d, m in selected]
+
+
+def methods_of(selected):
+    """(data set, method) of (data set, model) pairs, whatever the seeds."""
+    return [(d, base_of(m)) for d, m in selected]
+
+
+def check_seeds(selected, where):
+    """Refuse a training that is named twice, with its seed and without."""
+    trainings = with_seeds(selected)
+    for i, (name, base, seed) in enumerate(trainings):
+        if (name, base, seed) in trainings[:i]:
+            raise WorkflowError(f"{where}: '{name}/{base}' is named twice with seed {seed}; drop one, or give it another seed.")
+
+
+LABELLED, TUNED, REFINED = (pairs(config[key]) for key in ("labelled_maps", "tuned_models", "refined_models"))
 for name in config["voxel_variants"]:
     if (DATASETS / f"{name}.yaml").is_file():
         raise WorkflowError(f"voxel_variants: '{name}' has a data set file of its own; give the variant another name.")
-for name, model in LABELLED + TUNED:
+for name, model in LABELLED + TUNED + REFINED:
     check_pair(name, model, needs_map=(name, model) in LABELLED)
     for part in facts(name)["parts"]:
         list_files(name, part)  # now rather than in the middle of the DAG
-for name, model in TUNED:
-    if model in BASELINES or not is_calibrated(model):
-        raise WorkflowError(f"tuned_models: '{name}/{model}' is no network trained on that data set; name one whose weights are own.")
+for key, selected in (("tuned_models", TUNED), ("refined_models", REFINED)):
+    check_seeds(selected, key)
+    for name, model in selected:
+        if is_baseline(model) or not is_calibrated(model):
+            raise WorkflowError(f"{key}: '{name}/{model}' is no network trained on that data set; name one whose weights are own.")
+check_seeds(LABELLED, "labelled_maps")
+THINNED = pairs(config["thinned_models"])
+check_seeds(THINNED, "thinned_models")
+for name, model in THINNED:
+    check_pair(name, model, needs_map=False)
+    if is_baseline(model) or facts(name)["truth"] != "labels":
+        raise WorkflowError(f"thinned_models: '{name}/{model}' is no network on a data set with labels; name one that is.")
+THINNED_PARTS = [
+    f"{d}/{part}" for d in dict.fromkeys(d for d, _ in THINNED) for part in ("validation", "test") if part in facts(d)["parts"]
+]
 EVALUATED = [(d, m) for d, m in LABELLED if facts(d)["truth"] == "labels" and "test" in facts(d)["parts"]]
-TRAINED = [(d, m) for d, m in LABELLED if m in BASELINES or config["models"][m]["weights"] == "own"]
-NETWORKS = list(dict.fromkeys([(d, m) for d, m in LABELLED if m not in BASELINES and is_calibrated(m)] + TUNED))
+# Pictures and products are of one of a method's seeds, the first that is named; its scores are of all.
+SHOWN = [(d, m) for i, (d, m) in enumerate(LABELLED) if (d, base_of(m)) not in methods_of(LABELLED[:i])]
+TRAINED = [(d, m) for d, m in SHOWN if is_baseline(m) or model_of(m)["weights"] == "own"]
+NETWORKS = list(dict.fromkeys([(d, m) for d, m in LABELLED if not is_baseline(m) and is_calibrated(m)] + TUNED + REFINED))
+
+
+def thinned_on(name):
+    """The models whose labels of ever fewer points of a data set are scored."""
+    if models := [m for d, m in THINNED if d == name]:
+        return models
+    raise WorkflowError(f"thinned_models: none of data set '{name}'; name '{name}/c2cnn' there, or another network.")
 
 
 def network_facts(dataset, model):
     """What the tables say of a network."""
-    of_model = config["models"][model]
+    of_model = config["models"][base_of(model)]
     network, changed = config["train_segmenter"]["network"], of_model.get("network", {})
     is_plain = (
         of_model["channels"] == ["count", "height"]
@@ -365,13 +454,14 @@ def network_facts(dataset, model):
     )
     return {
         "dataset": dataset,
-        "method": model,
-        "seed": config["seed"],
+        "method": base_of(model),
+        "seed": seed_of(model),
         "map": map_name(dataset),
         "size_m": voxel_size(dataset),
         "k": (network | changed)["k"],
         "is_labelled": (dataset, model) in LABELLED,
         "is_tuned": (dataset, model) in TUNED,
+        "is_refined": (dataset, model) in REFINED,
         "is_point": is_plain and set(changed) <= {"k", "is_padded"} and not of_model.get("prior_power"),
     }
 

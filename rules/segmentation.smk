@@ -105,7 +105,7 @@ rule calibrate_segmenter:
     resources:
         mem_mb=3000,
     params:
-        prior_power=lambda w: config["models"][w.model].get("prior_power", 0.0),
+        prior_power=lambda w: model_of(w.model).get("prior_power", 0.0),
         schedule=schedule_of,
         groups=lambda w: facts(w.dataset).get("groups"),
         n_turns=config["label_map"]["n_turns"],
@@ -129,7 +129,7 @@ rule train_baseline:
     benchmark:
         "results/train_baseline/{dataset}/{model}/model.bench.tsv"
     wildcard_constraints:
-        model="|".join(BASELINES),
+        model=f"({'|'.join(BASELINES)})(_seed_[0-9]+)?",
     priority: 10  # the longest jobs first, or a core idles at the end
     conda:
         "../envs/streetscan.yaml"
@@ -138,7 +138,7 @@ rule train_baseline:
         mem_mb=4000,
     params:
         neighbours=config["train_baseline"]["neighbours"],
-        schedule=config["train_baseline"]["schedule"] | {"seed": config["seed"]},
+        schedule=lambda w: config["train_baseline"]["schedule"] | {"seed": seed_of(w.model)},
         n_threads=config["n_threads"],
     script:
         "../scripts/train_baseline.py"

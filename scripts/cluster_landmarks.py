@@ -29,7 +29,7 @@ def main(
     grid, crs = VoxelGrid.load(voxels_path), read_crs(map_path)
     labels = read_label_tiles(prediction_paths, len(grid))[0] if prediction_paths else None
     labels = load_npy(truth_path, "label_voxels", len(grid)) if truth_path else labels
-    means = mean_points(grid, (cloud.points for cloud in iterate_las(map_path)))
+    means = mean_points(grid, (cloud.points for cloud in iterate_las(map_path, with_fields=False)))
     found = cluster_landmarks(means, grid.height_m, labels, LandmarkSettings(**landmarks))
     make_reference(grid, means, labels, found, crs, static_m).save(reference_path)
     found.save(landmarks_path)

@@ -22,7 +22,7 @@ def main(map_path: str, truth_path: str, voxels_path: str, labels_path: str) -> 
         voxels_path: its voxel grid.
         labels_path: the voxels' labels to write, `.npy`.
     """
-    chunks = ((cloud.points, labels) for cloud, labels in iterate_labelled_las(map_path, truth_path))
+    chunks = ((cloud.points, labels) for cloud, labels in iterate_labelled_las(map_path, truth_path, with_fields=False))
     labels = vote_labels(VoxelGrid.load(voxels_path), chunks)
     n = np.bincount(labels, minlength=UNLABELLED + 1)
     logger.info("voxels: %s, unlabelled %d", ", ".join(f"{name} {k}" for name, k in zip(NAMES, n, strict=False)), n[UNLABELLED])

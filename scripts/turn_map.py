@@ -11,19 +11,19 @@ from streetscan.voxels import VoxelGrid
 logger = logging.getLogger("streetscan.turn_map")
 
 
-def main(map_path: str, voxels_path: str, labels_path: str, turned_voxels_path: str, turned_labels_path: str, n_yaws: int) -> None:
+def main(map_path: str, voxels_path: str, labels_path: str, turned_voxels_path: str, turned_labels_path: str, **settings) -> None:
     """
     Args:
         map_path: LAZ file.
         voxels_path: its voxel grid.
         labels_path: the voxels' labels, `.npy`.
         turned_voxels_path, turned_labels_path: grid (`.npz`) and labels (`.npy`) of all copies, to write.
-        n_yaws: number of copies, the map itself included.
+        settings: `n_yaws`, `tile_m`, `margin_m` of `streetscan.segmentation.turning.turn_map`.
     """
     grid = VoxelGrid.load(voxels_path)
     labels = load_npy(labels_path, "label_voxels", len(grid))
-    turned, turned_labels = turn_map(lambda: (cloud.points for cloud in iterate_las(map_path)), grid, labels, n_yaws)
-    logger.info("%d voxels in %d copies of a map of %d", len(turned), n_yaws, len(grid))
+    turned, turned_labels = turn_map(lambda: (cloud.points for cloud in iterate_las(map_path, with_fields=False)), grid, labels, **settings)
+    logger.info("%d voxels in %d copies of a map of %d", len(turned), settings["n_yaws"], len(grid))
     turned.save(turned_voxels_path)
     save_npy(turned_labels_path, turned_labels)
 

@@ -20,7 +20,7 @@ def main(map_path: str, voxels_path: str, size_m: float, ground: dict) -> None:
         size_m: voxel edge.
         ground: settings of `streetscan.segmentation.ground.add_heights`.
     """
-    grid = voxelize((cloud.points for cloud in iterate_las(map_path)), size_m)
+    grid = voxelize((cloud.points for cloud in iterate_las(map_path, with_fields=False)), size_m)
     grid = add_heights(grid, **ground)
     low, high = np.percentile(grid.height_m, [1, 99])
     logger.info("%d points in %d voxels, %.2f to %.2f m above ground (1 %% and 99 %%)", grid.counts.sum(), len(grid), low, high)

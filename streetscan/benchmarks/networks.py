@@ -20,6 +20,7 @@ from streetscan.io.tables import read_csv
 _K, _SIZE_M = 23, 0.1
 _RATES = ("precision", "recall", "f")
 _SCORES = ("stage", "protocol", "class", "metric", "value", "unit", "n")
+_REFINEMENTS = ("n_turns", "is_smoothed", "protocol", "class", "metric", "value", "unit", "n")
 _BINS = ("stage", "protocol", "confidence", "accuracy", "n")
 
 
@@ -34,6 +35,7 @@ class Network:
         size_m, k: voxel edge and voxels an axis of the cube.
         is_labelled: whether a map is labelled with it.
         is_tuned: whether it is compared with others on the validation part.
+        is_refined: whether its labels of the validation part are scored with and without further turns and smoothing.
         is_point: whether it differs from C²CNN in voxel and cube size alone.
         scores, reliability: of calibrate_segmenter.
     """
@@ -46,6 +48,7 @@ class Network:
     k: int
     is_labelled: bool
     is_tuned: bool
+    is_refined: bool
     is_point: bool
     scores: pd.DataFrame
     reliability: pd.DataFrame
@@ -72,10 +75,16 @@ def read_networks(inputs: Mapping[str, Sequence[str]], known: Sequence[Mapping])
 
 
 def all_scores(inputs: Mapping[str, Sequence[str]], known: Sequence[Mapping], evaluations: Sequence[Evaluation]) -> list[dict]:
-    """Rows of the tidy scores: calibration errors of networks and labelled maps, what the compared networks reach, Tables 2.1 and 2.2."""
+    """Rows of the tidy scores: calibration errors of networks and labelled maps, what the compared networks reach, Tables 2.1 and 2.2.
+
+    Args:
+        inputs, known: as in `read_networks`, and `refinements`, of evaluate_refinements, one per network with `is_refined`.
+        evaluations: of labelled maps.
+    """
     networks = read_networks(inputs, known)
     rows = _confidence_scores([n for n in networks if n.is_labelled], evaluations)
     tuned = [n for n in networks if n.is_tuned]
+    rows += _refinement_scores(inputs["refinements"], [n for n in networks if n.is_refined])
     return rows + _tuning_scores(tuned) + _parameter_scores([n for n in tuned if n.is_point])
 
 
@@ -102,6 +111,21 @@ def _tuning_scores(networks: Sequence[Network]) -> list[dict]:
     return rows
 
 
+def _refinement_scores(paths: Sequence[str], networks: Sequence[Network]) -> list[dict]:
+    """The table `refinement`: a labelled validation part by turns and smoothing, and what labelling it took."""
+    shown = {("natural", "overall", metric) for metric in ("f", "accuracy", "calibration_error")}
+    shown |= {("even", "objects", "f"), ("natural", "part", "time")}
+    rows = []
+    for n, path in zip(networks, paths, strict=True):
+        table = read_csv(path, _REFINEMENTS, "evaluate_refinements")
+        for r in table.to_dict("records"):
+            if (protocol := r["protocol"], r["class"], metric := r["metric"]) in shown:
+                row = f"{n.dataset}/{n.method}/turns_{r['n_turns']}{'_smoothed' * r['is_smoothed']}"
+                column = "" if metric == "time" else f"validation_{protocol}"
+                rows.append(make_score("refinement", row, column, metric, r["value"], r["unit"], r["n"], n.dataset, n.method, n.seed))
+    return rows
+
+
 def _parameter_scores(networks: Sequence[Network]) -> list[dict]:
     """Tables 2.1 and 2.2, and their joint grid `parameters`."""
     rows = []
@@ -111,16 +135,21 @@ def _parameter_scores(networks: Sequence[Network]) -> list[dict]:
         rows.append(make_score("parameters", size, f"k_{n.k}", "f", *rates["f"][:1], "%", **common))
         for table, row in [("nagy_2_1", size)] * (n.k == _K) + [("nagy_2_2", str(n.k))] * (n.size_m == _SIZE_M):
             rows += [make_score(table, row, "c2cnn", m, value, "%", count, **common) for m, (value, count) in rates.items()]
-        if n.k == _K:
+        if n.k == _K and n is _first_of(networks, n):  # counts are the map's, whatever the seed
             counts = {m: n.value("natural", "part", m)[0] for m in ("n_voxels", "n_occupied")}
             rows += [make_score("nagy_2_1", size, "c2cnn", m, value, "", **common) for m, value in counts.items()]
     return rows
 
 
+def _first_of(networks: Sequence[Network], like: Network) -> Network:
+    """The first of the networks that are this one but for the seed."""
+    return next(n for n in networks if (n.dataset, n.method) == (like.dataset, like.method))
+
+
 def draw_networks(folder: str | Path, inputs: Mapping[str, Sequence[str]], known: Sequence[Mapping]) -> list[Section]:
-    """A section with the reliability of each network before and after calibration, drawn into a folder (SVG and PDF)."""
-    pictures = []
-    for n in (n for n in read_networks(inputs, known) if n.is_labelled):
+    """A section with the reliability of each network (of its first seed) before and after calibration, drawn into a folder (SVG, PDF)."""
+    networks, pictures = [n for n in read_networks(inputs, known) if n.is_labelled], []
+    for n in (n for n in networks if n is _first_of(networks, n)):
         bins = n.reliability[n.reliability["protocol"] == "natural"]
         before, after = (bins[bins["stage"] == stage] for stage in ("trained", "calibrated"))
         temperature = n.value("natural", "overall", "temperature")[0]

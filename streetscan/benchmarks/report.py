@@ -247,9 +247,11 @@ def draw_sections(
         histories: (data set, model) to its training history.
         views: (data set, model) to the folder evaluate_views wrote.
     Returns:
-        the sections; a data set without truth or training has those parts left out and says so.
+        the sections; a data set without truth or training has those parts left out and says so. Of a model with several seeds
+        the first is shown.
     """
     folder = Path(folder)
+    folder.mkdir(parents=True, exist_ok=True)
     evaluated: dict[tuple[str, str], list[Evaluation]] = {}
     for e in evaluations:
         evaluated.setdefault((e.dataset, e.model), []).append(e)
@@ -385,7 +387,10 @@ def _part(
         pictures.append(save_picture(draw.training_curve(history), folder, f"training_{dataset}_{method}", caption))
     else:
         text.append("Not trained on this map: its network came with the weights given.")
-    for e in evaluations:
+    seeds = list(dict.fromkeys(e.seed for e in evaluations))
+    if len(seeds) > 1:
+        text.append(f"Trained with the seeds {', '.join(map(str, seeds))}; what is shown here is of seed {seeds[0]}.")
+    for e in (e for e in evaluations if e.seed == seeds[0]):
         n = format_number(e.confusion.sum())
         caption = f"Confusion of {title(e.method)} on {dataset} over all {n} labelled voxels: per cent of the true class, and voxels."
         figure = draw.confusion_matrix(e.confusion, [c.title for c in CLASSES])

@@ -39,7 +39,7 @@ class Evaluation:
     """What evaluate_labels found for one model on one data set.
 
     Attributes:
-        dataset, method, seed: whose; `<model>_smoothed` where the labels are those of a smoothed map.
+        dataset, method, seed: whose, and the seed of its training; `<model>_smoothed` where the labels are those of a smoothed map.
         scores: `protocol` (even or natural), `class`, `metric`, `value`, `unit` (percent), `n`.
         confusion: (9, 9) int64 over all labelled voxels, rows true, columns predicted.
     """
@@ -246,6 +246,12 @@ def read_evaluations(scores_path: str | Path, confusion_path: str | Path, datase
         Evaluation(dataset, method, seed, scores[scores["labels"] == labels], read_confusion(confusion_path, labels))
         for labels, method in methods.items()
     ]
+
+
+def read_all_evaluations(inputs: Mapping[str, Sequence[str]], evaluated: Sequence[tuple[str, str, int]]) -> list[Evaluation]:
+    """The evaluations of a run: files `evaluations` and `confusions` of `inputs`, one per (data set, model, seed)."""
+    files = zip(inputs["evaluations"], inputs["confusions"], evaluated, strict=True)
+    return [e for *paths, name in files for e in read_evaluations(*paths, *name)]
 
 
 def read_confusion(path: str | Path, labels: str = "map") -> np.ndarray:

@@ -32,12 +32,17 @@ _READ_ERRORS = (
 _SKIPPED = {"X", "Y", "Z", "red", "green", "blue", *_STANDARD.values()}
 
 
-def iterate_las(path: str | Path, chunk_points: int = CHUNK_POINTS) -> Iterator[PointCloud]:
+# What a position takes: the format keeps every field apart, and the others need not be unpacked.
+_POSITIONS = laspy.DecompressionSelection.base() | laspy.DecompressionSelection.Z
+
+
+def iterate_las(path: str | Path, chunk_points: int = CHUNK_POINTS, with_fields: bool = True) -> Iterator[PointCloud]:
     """A LAS/LAZ file as clouds of at most `chunk_points` points, in file order, in constant memory.
 
     Args:
         path: the file.
         chunk_points: points per cloud.
+        with_fields: False reads the positions alone, which takes half the time.
     Yields:
         clouds with these fields: `intensity`, `time_s` (gps_time), `rgb` (N, 3) uint8, `return_number`, `n_returns` and
         `classification` where the point format has them, and the extra dimensions under their own names.
@@ -50,7 +55,7 @@ def iterate_las(path: str | Path, chunk_points: int = CHUNK_POINTS) -> Iterator[
     n_read = 0
     has_16_bit_colour = False
     try:
-        with laspy.open(path) as reader:
+        with laspy.open(path, decompression_selection=laspy.DecompressionSelection.all() if with_fields else _POSITIONS) as reader:
             crs = reader.header.parse_crs()
             crs = None if crs is None else _crs_string(crs)
             if path.stat().st_size < reader.header.offset_to_point_data:
@@ -58,8 +63,8 @@ def iterate_las(path: str | Path, chunk_points: int = CHUNK_POINTS) -> Iterator[
             for record in reader.chunk_iterator(chunk_points):
                 n_read += len(record)
                 # Some writers store 8-bit colours in the 16-bit fields; one value above 255 shows that this one does not.
-                has_16_bit_colour = has_16_bit_colour or _largest_colour(record) > 255
-                yield _cloud_of_record(record, crs, has_16_bit_colour)
+                has_16_bit_colour = has_16_bit_colour or (with_fields and _largest_colour(record) > 255)
+                yield _cloud_of_record(record, crs, has_16_bit_colour) if with_fields else PointCloud(_points_of_record(record), {}, crs)
             n_promised = reader.header.point_count
     except _READ_ERRORS as error:
         raise BadInput(path, f"not a complete LAS/LAZ file ({error})", "copy or export it again") from error
@@ -73,12 +78,13 @@ def read_las(path: str | Path) -> PointCloud:
     return concatenate(clouds) if clouds else PointCloud(np.empty((0, 3)))
 
 
-def iterate_labelled_las(path: str | Path, labels_path: str | Path) -> Iterator[tuple[PointCloud, np.ndarray]]:
+def iterate_labelled_las(path: str | Path, labels_path: str | Path, with_fields: bool = True) -> Iterator[tuple[PointCloud, np.ndarray]]:
     """A LAS/LAZ file as clouds together with their points' labels, in constant memory.
 
     Args:
         path: LAS/LAZ file of N points.
         labels_path: `.npy` with (N,) uint8 labels in the file's order, 255 unlabelled.
+        with_fields: see `iterate_las`.
     Yields:
         a cloud and its (n,) labels.
     Raises:
@@ -86,7 +92,7 @@ def iterate_labelled_las(path: str | Path, labels_path: str | Path) -> Iterator[
     """
     labels = load_npy(labels_path, "the step that wrote it", count_points(path))
     n_read = 0
-    for cloud in iterate_las(path):
+    for cloud in iterate_las(path, with_fields=with_fields):
         yield cloud, labels[n_read : n_read + len(cloud)]
         n_read += len(cloud)
 
@@ -233,5 +239,8 @@ def _cloud_of_record(record: laspy.ScaleAwarePointRecord, crs: str | None, has_1
     # In the file's order: a set's order changes from run to run, and with it the bytes of every file written from these fields.
     wanted = ["classification", *record.point_format.extra_dimension_names]
     fields |= {name: np.asarray(record[name]) for name in wanted if name not in _SKIPPED}
-    points = np.stack([np.asarray(record.x), np.asarray(record.y), np.asarray(record.z)], axis=1)
-    return PointCloud(points, fields, crs)
+    return PointCloud(_points_of_record(record), fields, crs)
+
+
+def _points_of_record(record: laspy.ScaleAwarePointRecord) -> np.ndarray:
+    return np.stack([np.asarray(record.x), np.asarray(record.y), np.asarray(record.z)], axis=1)

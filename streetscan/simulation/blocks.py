@@ -90,7 +90,8 @@ class Plan:
             return False
         box = (s - ds, s + ds, t - dt, t + dt)
         if not force and self.taken:
-            k = np.array(self.taken)
+            # What touches at exactly the gap has room, whatever rounding makes of it.
+            k, gap = np.array(self.taken), gap - 1e-9
             if ((k[:, 0] < box[1] + gap) & (k[:, 1] > box[0] - gap) & (k[:, 2] < box[3] + gap) & (k[:, 3] > box[2] - gap)).any():
                 return False
         self.taken.append(box)
@@ -224,12 +225,18 @@ def _parked_vehicles(plan: Plan, density: float) -> None:
             if side > 0 or length > 60 or plan.chance(0.5):
                 plan.add(bus, stop, middle + side * 0.1, 0.0, heading, force=True)
             plan.stops.append((side, stop))
-            plan.add("bus_shelter", stop + plan.between(-1.5, 1.5), side * 10.7, KERB_HEIGHT_M, _toward_road(side))
-            plan.add("sign_single", stop - np.cos(heading) * -4.5, side * 9.8, KERB_HEIGHT_M, heading)
-            for _ in range(plan.rng.integers(2, 6)):
+            shelter = stop + plan.between(-1.5, 1.5)
+            if plan.add("bus_shelter", shelter, side * 10.7, KERB_HEIGHT_M, _toward_road(side)):
+                for place in (-1.2, -0.1, 1.0):
+                    if plan.chance(0.6):
+                        s_inside = shelter + place + plan.between(-0.2, 0.2)
+                        plan.add(plan.pick(*shapes.STANDERS), s_inside, side * 10.35, KERB_HEIGHT_M, plan.between(-3, 3), force=True)
+            plan.add("sign_single", stop + np.cos(heading) * 4.5, side * 10.0, KERB_HEIGHT_M, heading)
+            # Those who find the shelter's place taken wait before and behind it.
+            for _ in range(plan.rng.integers(4, 9)):
                 plan.add(
                     plan.pick(*shapes.STANDERS),
-                    stop + plan.between(-5, 5),
+                    stop + plan.between(-6.5, 6.5),
                     side * plan.between(9.8, 11.3),
                     KERB_HEIGHT_M,
                     plan.between(-3, 3),
@@ -353,7 +360,7 @@ def _crossroads(plan: Plan) -> None:
                     plan.add("bollard", c + end * (edge + 0.35), side * (10.0 + 0.45 * k), KERB_HEIGHT_M)
                 if plan.chance(0.6):
                     plan.add(
-                        plan.pick("advert_column", "kiosk", "telephone_booth", "litter_bin", "mail_box"),
+                        plan.pick("advert_column", "telephone_booth", "litter_bin", "mail_box"),
                         c + end * (edge + 7.6),
                         side * 10.9,
                         KERB_HEIGHT_M,
@@ -402,6 +409,8 @@ def _square(plan: Plan, zone: Zone, side: int) -> None:
     plan.add(plan.pick("fountain", "statue"), middle + plan.between(-2, 2), side * 31.0, h)
     for t in np.arange(s0 + 1, zone.s1, 1.6):
         plan.add("bollard", t, side * (SIDEWALK_M + 0.3), h)
+    # A kiosk is the widest thing here and would hardly find a place later.
+    plan.add("kiosk", plan.between(s0 + 2, zone.s1 - 2), side * plan.between(20.5, 25.0), h, _toward_road(side))
     for _ in range(int((zone.s1 - s0) * 1.6)):
         name = plan.pick(*_ON_SQUARE)
         s, t = plan.between(s0, zone.s1), side * plan.between(19.5, 42.0)

@@ -15,7 +15,7 @@ from streetscan.clouds import PointCloud
 from streetscan.simulation.layout import build_street, count_blocks
 from streetscan.simulation.raycasting import SceneCaster
 from streetscan.simulation.receiver import Receiver, measure
-from streetscan.simulation.recording import BLOCK_SEED, Errors, draw_bursts, plan_passes
+from streetscan.simulation.recording import BLOCK_SEED, Errors, draw_bursts, plan_passes, seed_of_recording
 from streetscan.simulation.sensors import mobile_mapper
 from streetscan.voxels import find_sorted, pack_keys
 
@@ -114,15 +114,15 @@ def probe_street(split: str, seed: int, length_m: float, settings: dict, n_pulse
         track (K, 3) of the vehicle every 0.1 s, metres, frame `map`, and the table of `measure_return_rates`.
     """
     street = settings["street"] | {"length_m": length_m}
-    n_blocks = count_blocks(length_m)
+    n_blocks, of_recording = count_blocks(length_m), seed_of_recording(split, seed)
     tracks, tables = [], []
     for b in range(n_blocks):
         scene = build_street(split=split, seed=seed, n_rounds=settings["n_rounds"], block=b, **street)
-        passes = plan_passes(scene, Errors(**settings["errors"]), seed + BLOCK_SEED * b, settings["n_rounds"])
+        passes = plan_passes(scene, Errors(**settings["errors"]), of_recording + BLOCK_SEED * b, settings["n_rounds"])
         tracks += [p.truth.positions[::20] for p in passes]
         caster = SceneCaster(scene, passes[0].truth.start_s, passes[0].truth.end_s)
         for number, scanner in enumerate(mobile_mapper(**settings["scanners"])):
-            rng = np.random.default_rng([seed, 8, b, number])
+            rng = np.random.default_rng([of_recording, 8, b, number])
             pulses = draw_bursts(passes[0], scanner, max(n_pulses // n_blocks // 2 // _BURST, 1), _BURST, rng)
             tables.append(measure_return_rates(caster, *pulses, Receiver(**settings["receiver"]), rng))
     table = pd.concat(tables)

@@ -7,6 +7,7 @@ along one street, show in the map as they do in real ones.
 import itertools
 import logging
 import time
+import zlib
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -142,6 +143,11 @@ def drive_road(road: np.ndarray, speed_kmh: float, lane_offset_m: float, start_s
     pitch = -np.arcsin(np.clip(ahead[:, 2], -1, 1)) + np.radians(0.3) * np.sin(2 * np.pi * 1.1 * times + rng.uniform(0, 2 * np.pi))
     roll = np.radians(0.4) * np.sin(2 * np.pi * 0.7 * times + rng.uniform(0, 2 * np.pi))
     return Trajectory(start_s, positions, _rotations(roll, pitch, yaw))
+
+
+def seed_of_recording(split: str, seed: int) -> int:
+    """The seed of a split's drives, their errors, noise and exposures: no two streets of a city share them."""
+    return int(np.random.default_rng([seed, zlib.crc32(split.encode()), 20]).integers(2**31))
 
 
 def plan_passes(scene: Scene, errors: Errors, seed: int, n_rounds: int = 1, start_s: float = 0.0, pause_s: float = 5.0) -> list[Pass]:
@@ -302,7 +308,7 @@ def record_street(
     """
     blocks = range(count_blocks(street["length_m"]))
     scenes = (build_street(split=split, seed=seed, n_rounds=n_rounds, block=b, **street) for b in blocks)
-    return record_map(scenes, scanners, receiver, cameras, errors, seed, n_rounds, part)
+    return record_map(scenes, scanners, receiver, cameras, errors, seed_of_recording(split, seed), n_rounds, part)
 
 
 def replay_pass(split: str, seed: int, street: dict, block: int) -> tuple[Scene, Trajectory]:
@@ -313,7 +319,7 @@ def replay_pass(split: str, seed: int, street: dict, block: int) -> tuple[Scene,
         block: its number.
     """
     scene = build_street(split=split, seed=seed, block=block, **street)
-    return scene, plan_passes(scene, Errors(), seed + BLOCK_SEED * block)[0].truth
+    return scene, plan_passes(scene, Errors(), seed_of_recording(split, seed) + BLOCK_SEED * block)[0].truth
 
 
 def record_static(
@@ -366,7 +372,7 @@ def record_static_street(
         span_s = n * scanner.panorama_s
         scene = build_street(split=split, seed=seed, block=b, time_span_s=(-10.0, span_s), **street)
         positions = tripod_positions(scene, street, b, spacing_m)
-        for record in record_static(scene, positions, scanner, receiver, seed + BLOCK_SEED * b):
+        for record in record_static(scene, positions, scanner, receiver, seed_of_recording(split, seed) + BLOCK_SEED * b):
             record.cloud.fields["time_s"] += clock_s
             yield record
         clock_s += span_s

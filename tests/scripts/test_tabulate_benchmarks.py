@@ -17,10 +17,12 @@ from streetscan.segmentation.metrics import evaluate_labels
 
 CONFIG = {"run": "try", "seed": 1, "labelled_maps": ["city/c2cnn"], "calibrate_keyframe": {"settings": {}}}
 TABLES = {"nagy_1_2", "nagy_2_3", "nagy_2_4", "nagy_2_3_natural", "map_cleaning", "jozsa_1", "jozsa_2", "registration", "grid_classes"}
+THINNED = {"c2cnn": 1, "c2cnn_seed_2": 2, "c2cnn_local": 1}
+TABLES |= {"thinning_validation", "thinning_test"}
 TABLES |= {"nagy_3_1", "localization", "localization_verdicts", "confidence"}
 REGISTERED = [("my_drive", "ndt_tall"), ("my_drive", "ndt_raw"), ("my_drive", "kiss_icp")]
 LOCALIZED = [("city", "my_drive", m, n, "main_road") for m, n in (("raw", "voting_8"), ("c2cnn", "voting_8"), ("c2cnn", "crossmodal"))]
-EVALUATED = [("city", "c2cnn"), ("oakland", "c2cnn_from_city")]
+EVALUATED = [("city", "c2cnn", 1), ("city", "c2cnn", 2), ("oakland", "c2cnn_from_city", 1)]
 REALISM = {"simulated": ["city"], "compared": ["city", "oakland"], "not_compared": ["amsterdam"], "static_scans": {"city_tls": "city"}}
 FACTS = {"city": {"year": 2026, "n_classes": 9}, "oakland": {"sensor": "SICK LMS (MLS)", "n_points": None}}
 
@@ -50,16 +52,23 @@ def inputs(tmp_path):
         "localization_pictures": [],
         "network_scores": [],
         "network_reliabilities": [],
+        "refinements": [],
+        "thinnings": [],
     }
-    for dataset, _ in EVALUATED:
+    for dataset, _, seed in EVALUATED:
         true = rng.integers(0, 9, 3000).astype(np.uint8)
         predicted = np.where(rng.random(3000) < 0.9, true, 0).astype(np.uint8)
         groups = {"Ground": ["ground"], "Pole-like": ["column"]} if dataset == "oakland" else None
         tables = evaluate_labels(true, predicted, np.ones(3000, np.float32), n_per_class=100, rng=rng, groups=groups)
         for kind, table in zip(("evaluations", "confusions"), tables, strict=True):
-            path = tmp_path / f"{dataset}_{kind}.csv"
+            path = tmp_path / f"{dataset}_{kind}_{seed}.csv"
             table.assign(labels="map").to_csv(path, index=False)
             paths[kind].append(str(path))
+    for part in ("validation", "test"):
+        shown = [(share, m, 60 + 20 * share + seed) for share in (1.0, 0.1) for m, seed in THINNED.items()]
+        table = pd.DataFrame(shown, columns=["share", "model", "value"])
+        table.assign(metric="f", unit="%", n=70, **{"class": "objects"}).to_csv(tmp_path / f"thinning_{part}.csv", index=False)
+        paths["thinnings"].append(str(tmp_path / f"thinning_{part}.csv"))
     history = pd.DataFrame({"epoch": [1], "train_loss": [1.0], "validation_accuracy": [0.5], "learning_rate": [0.1]})
     history.to_csv(tmp_path / "history.csv", index=False)
     views = tmp_path / "views"
@@ -124,6 +133,7 @@ def run(inputs, folder):
         evaluated=EVALUATED,
         trained=[("city", "c2cnn")],
         known=[],
+        thinned={"parts": ["city/validation", "city/test"], "names": {m: (m.partition("_seed_")[0], s) for m, s in THINNED.items()}},
         viewed=[["my_street", "c2cnn_shipped"]],
         registered=REGISTERED,
         merged=REGISTERED[:1],
@@ -154,6 +164,32 @@ def test_all_outputs(inputs, tmp_path):
     realism = pd.read_csv(tmp_path / "out" / "tables" / "realism.csv")
     assert realism["map"].tolist() == ["city", "city", "oakland", "oakland"]
     assert set(pd.read_csv(tmp_path / "out" / "tables" / "density.csv")["scanner"]) == {"static", "mobile"}
+
+
+def test_a_second_seed_gives_mean_and_spread_and_no_second_picture(inputs, tmp_path):
+    run(inputs, tmp_path / "out")
+    scores = read_scores(tmp_path / "out" / "scores.csv")
+    car = scores[(scores["table"] == "nagy_2_3") & (scores["row"] == "car") & (scores["column"] == "c2cnn f")].iloc[0]
+    assert car["seed"] == "1;2"
+    assert 0 < car["spread"] < 10
+    assert "±" in (tmp_path / "out" / "tables" / "nagy_2_3_city.md").read_text()
+    html = (tmp_path / "out" / "report.html").read_text()
+    assert html.count("Trained with the seeds 1, 2; what is shown here is of seed 1.") == 1
+    assert html.count("<figcaption>Confusion of C²CNN on city ") == 1
+
+
+def test_fewer_points(inputs, tmp_path):
+    run(inputs, tmp_path / "out")
+    scores = read_scores(tmp_path / "out" / "scores.csv")
+    found = scores[scores["table"] == "thinning_test"].set_index(["row", "column"])
+    assert found.loc[("100", "c2cnn f"), ["ours", "seed", "n"]].tolist() == [81.5, "1;2", 70]
+    assert found.loc[("10", "c2cnn f"), "spread"] == pytest.approx(0.5**0.5)
+    assert found.loc[("10", "c2cnn_local f"), "ours"] == 63
+    for name in ("thinning_validation_city", "thinning_test_city"):
+        assert (tmp_path / "out" / "figures" / f"{name}.svg").is_file()
+        assert (tmp_path / "out" / "tables" / f"{name}.md").is_file()
+    assert len(pd.read_csv(tmp_path / "out" / "tables" / "thinning.csv")) == 12
+    assert "Fewer points" in (tmp_path / "out" / "report.html").read_text()
 
 
 def test_registered_drives(inputs, tmp_path):
@@ -226,7 +262,7 @@ def test_the_same_inputs_give_the_same_files(inputs, tmp_path):
 
 
 def test_a_broken_evaluation_leaves_no_report(inputs, tmp_path):
-    (tmp_path / "oakland_evaluations.csv").write_text("protocol\n")
-    with pytest.raises(BadInput, match=r"oakland_evaluations\.csv"):
+    (tmp_path / "oakland_evaluations_1.csv").write_text("protocol\n")
+    with pytest.raises(BadInput, match=r"oakland_evaluations_1\.csv"):
         run(inputs, tmp_path / "out")
     assert not (tmp_path / "out").exists()

@@ -12,7 +12,7 @@ def test_turned_map_has_every_class_in_every_copy(tiny_map, tmp_path):
     voxels, labels = tmp_path / "voxels.npz", tmp_path / "labels.npy"
     voxelize_map.main(tiny_map, voxels, 0.1, GROUND)
     label_voxels.main(tiny_map, tiny_map.parent / "truth" / "labels.npy", voxels, labels)
-    turn_map.main(tiny_map, voxels, labels, tmp_path / "turned.npz", tmp_path / "turned.npy", 2)
+    turn_map.main(tiny_map, voxels, labels, tmp_path / "turned.npz", tmp_path / "turned.npy", n_yaws=2)
     turned, turned_labels = VoxelGrid.load(tmp_path / "turned.npz"), np.load(tmp_path / "turned.npy")
     grid, original = VoxelGrid.load(voxels), np.load(labels)
     assert len(turned) == len(turned_labels)

@@ -2,7 +2,8 @@
 
 import pandas as pd
 
-from benchmarks.__main__ import COLUMNS, renew
+from benchmarks.__main__ import COLUMNS
+from streetscan.benchmarks.speed import renew_rows
 
 
 def _table(*rows):
@@ -11,7 +12,7 @@ def _table(*rows):
 
 def test_rows_of_what_ran_again_are_replaced(tmp_path):
     path = tmp_path / "bench.csv"
-    assert renew(path, _table(("a", 1.0)))["value"].tolist() == [1.0]
+    assert renew_rows(path, _table(("a", 1.0)))["value"].tolist() == [1.0]
     _table(("a", 1.0), ("b", 2.0), ("a", 3.0)).to_csv(path, index=False)
-    renewed = renew(path, _table(("a", 4.0), ("c", 5.0)))
+    renewed = renew_rows(path, _table(("a", 4.0), ("c", 5.0)))
     assert renewed[["benchmark", "value"]].to_numpy().tolist() == [["b", 2.0], ["a", 4.0], ["c", 5.0]]

@@ -5,8 +5,9 @@ import re
 
 import cv2
 import numpy as np
+import pandas as pd
 
-from docs.keep_results import WIDTH_PX, shrink_report
+from docs.keep_results import WIDTH_PX, keep_benchmarks, shrink_report
 
 
 def _uri(kind, pixels):
@@ -23,3 +24,16 @@ def test_pictures_of_a_kept_report_are_small():
     assert len(small) < len(html) / 4
     assert small.startswith("<p>Table</p>")
     assert drawing in small
+
+
+def test_benchmarks_that_were_not_run_again_stay(tmp_path):
+    """And the text says which rows are of which commit."""
+    table = pd.DataFrame({"benchmark": ["a", "b"], "value": [1.0, 2.0]})
+    table.to_csv(tmp_path / "new.csv", index=False)
+    keep_benchmarks(tmp_path / "new.csv", tmp_path, "1234")
+    assert (tmp_path / "bench.txt").read_text().startswith("command: python -m benchmarks\ncommit: 1234\n")
+    table.tail(1).assign(value=3.0).to_csv(tmp_path / "new.csv", index=False)
+    keep_benchmarks(tmp_path / "new.csv", tmp_path, "5678")
+    assert pd.read_csv(tmp_path / "bench.csv")["value"].tolist() == [1, 3]
+    assert "(rows b)\ncommit: 5678\n" in (tmp_path / "bench.txt").read_text()
+    assert "commit: 1234" in (tmp_path / "bench.txt").read_text()

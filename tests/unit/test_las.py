@@ -38,6 +38,27 @@ def test_chunks_hold_the_file_in_order(tiny_world, tiny_map):
     np.testing.assert_array_equal(np.concatenate([c.fields["rgb"] for c in clouds]), tiny_world.cloud.fields["rgb"])
 
 
+def test_positions_alone_are_the_same_positions(tiny_map):
+    whole, bare = (list(iterate_las(tiny_map, 10_000, with_fields)) for with_fields in (True, False))
+    assert len(whole) == len(bare) > 1
+    for a, b in zip(whole, bare, strict=True):
+        np.testing.assert_array_equal(a.points, b.points)
+        assert a.fields
+        assert not b.fields
+        assert a.crs == b.crs
+
+
+@pytest.mark.parametrize("point_format", [0, 3, 6, 7])
+@pytest.mark.parametrize("name", ["map.las", "map.laz"])
+def test_positions_alone_are_read_from_every_format(tmp_path, point_format, name):
+    las = laspy.create(point_format=point_format, file_version="1.4")
+    las.header.scales = [0.001] * 3
+    las.x, las.y, las.z = np.random.default_rng(0).uniform(-100, 100, (3, 50)).round(3)
+    las.write(tmp_path / name)
+    (cloud,) = iterate_las(tmp_path / name, with_fields=False)
+    np.testing.assert_allclose(cloud.points, np.stack([las.x, las.y, las.z], axis=1))
+
+
 def test_labels_come_with_their_points(tiny_world, tiny_map):
     pairs = list(iterate_labelled_las(tiny_map, tiny_map.parent / "truth" / "labels.npy"))
     assert sum(len(cloud) for cloud, _ in pairs) == len(tiny_world.labels)

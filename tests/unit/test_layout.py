@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 from streetscan import classes
 from streetscan.errors import BadInput
 from streetscan.simulation import shapes, terrain
-from streetscan.simulation.blocks import plan_block
+from streetscan.simulation.blocks import Plan, plan_block
 from streetscan.simulation.layout import build_street, count_blocks
 from streetscan.simulation.meshes import triangle_areas
 
@@ -116,11 +116,25 @@ def test_city_has_all_kinds_of_place_and_a_narrow_road(split):
     assert all(a[1] == b[0] for a, b in pairwise(edges))
 
 
-@pytest.mark.xfail(strict=True, reason="version 1: rounding lets the bus at the stop take the shelter's place; to be mended with version 2")
+@pytest.mark.parametrize("seed", [1, 2])
 @pytest.mark.parametrize("split", ["train", "validation", "test"])
-def test_stops_of_the_city_have_shelters(split):
-    plan = plan_block(0, 0.0, 120.0, True, True, split, 1, 1.0, 30.0)
+def test_stops_of_the_city_have_shelters_and_signs_and_its_square_a_kiosk(split, seed):
+    plan = plan_block(0, 0.0, 120.0, True, True, split, seed, 1.0, 30.0)
     assert [i.name for i in plan.items].count("bus_shelter") == len(plan.stops) == 2
+    for side, stop in plan.stops:
+        signs = [i for i in plan.items if i.name == "sign_single" and np.sign(i.t) == side and abs(abs(i.s - stop) - 4.5) < 1e-6]
+        assert len(signs) == 1
+    square, side = next((z, 1 if z.left == "square" else -1) for z in plan.zones if "square" in (z.left, z.right))
+    assert any(i.name == "kiosk" and square.s0 < i.s < square.s1 and np.sign(i.t) == side for i in plan.items)
+
+
+def test_what_touches_has_room_and_what_overlaps_has_none():
+    half = shapes.HALF_SIZES_M["bus_shelter"][1]
+    for start in np.random.default_rng(0).uniform(5, 100, 200):
+        plan = Plan(0.0, 120.0, "train", np.random.default_rng(0))
+        assert plan.add("bus_shelter", 60.0, start, 0.0, 0.0, gap=0.05)
+        assert not plan.add("bus_shelter", 60.0, start + 2 * half + 0.05 - 1e-3, 0.0, np.pi)
+        assert plan.add("bus_shelter", 60.0, start + 2 * half + 0.05, 0.0, np.pi)
 
 
 def test_city_mesh_is_valid_and_not_too_large(city):

@@ -1,5 +1,6 @@
 """What calibrate_segmenter found, as tables and figures beside the thesis' Tables 2.1 and 2.2."""
 
+import numpy as np
 import pandas as pd
 import pytest
 
@@ -16,6 +17,7 @@ FACTS = {
     "k": 23,
     "is_labelled": False,
     "is_tuned": True,
+    "is_refined": False,
     "is_point": True,
 }
 
@@ -47,7 +49,7 @@ def files(tmp_path):
         FACTS | {"method": "c2cnn_local", "is_point": False},
         FACTS | {"method": "og_cnn", "is_labelled": True, "is_tuned": False, "is_point": False},
     ]
-    inputs = {"network_scores": [], "network_reliabilities": []}
+    inputs = {"network_scores": [], "network_reliabilities": [], "refinements": []}
     for i, _ in enumerate(known):
         for name, table in (("network_scores", scores(80.0 + i)), ("network_reliabilities", reliability())):
             inputs[name].append(str(tmp_path / f"{name}_{i}.csv"))
@@ -90,6 +92,45 @@ def test_tables_are_printed_with_the_papers_beside(files):
     row = printed["nagy_2_1_city"].rows.index("0.1")
     cells = [printed["nagy_2_1_city"].text(row, j) for j in range(len(printed["nagy_2_1_city"].columns))]
     assert "80.0 / 90.3" in cells
+
+
+def test_seeds_are_averaged_and_the_counts_of_the_map_are_not(tmp_path):
+    known = [FACTS | {"seed": seed, "is_labelled": True} for seed in (1, 2, 3)]
+    inputs = {"network_scores": [], "network_reliabilities": [], "refinements": []}
+    for i, _ in enumerate(known):
+        for name, table in (("network_scores", scores(80.0 + i)), ("network_reliabilities", reliability())):
+            inputs[name].append(str(tmp_path / f"{name}_{i}.csv"))
+            table.to_csv(inputs[name][-1], index=False)
+    table = collect_scores([], {}, networks.all_scores(inputs, known, []))
+    found = table[table["method"] == "c2cnn"].set_index(["table", "row", "column"])
+    assert found.loc[("nagy_2_1", "0.1", "c2cnn f"), ["ours", "spread", "seed"]].tolist() == [81, 1, "1;2;3"]
+    assert found.loc[("tuning", "city/c2cnn", "validation_even f"), ["ours", "spread"]].tolist() == [81, 1]
+    assert np.isnan(found.loc[("nagy_2_1", "0.1", "c2cnn n_voxels"), "spread"])
+    (section,) = networks.draw_networks(tmp_path / "figures", inputs, known)
+    assert len(section.figures) == 1
+
+
+def test_what_turns_and_smoothing_gain_and_cost(files, tmp_path):
+    inputs, known = files
+    known = [*known[:-1], known[-1] | {"is_refined": True}]
+    rows = [
+        (n_turns, is_smoothed, *figure, 9)
+        for n_turns in (1, 4)
+        for is_smoothed in (False, True)
+        for figure in (
+            ("even", "objects", "f", 70.0 + n_turns, "%"),
+            ("even", "car", "f", 1.0, "%"),
+            ("natural", "overall", "accuracy", 80.0 + is_smoothed, "%"),
+            ("natural", "part", "time", 10.0 * n_turns, "s"),
+        )
+    ]
+    columns = ["n_turns", "is_smoothed", "protocol", "class", "metric", "value", "unit", "n"]
+    pd.DataFrame(rows, columns=columns).to_csv(tmp_path / "refinements.csv", index=False)
+    found = pd.DataFrame(networks.all_scores(inputs | {"refinements": [str(tmp_path / "refinements.csv")]}, known, []))
+    table = found[found["table"] == "refinement"].set_index(["row", "column"])["ours"]
+    assert table["city/og_cnn/turns_4"].to_dict() == {"validation_even f": 74, "validation_natural accuracy": 80, "time": 40}
+    assert table["city/og_cnn/turns_1_smoothed", "validation_natural accuracy"] == 81
+    assert len(table) == 12
 
 
 def test_reliability_is_drawn_for_labelled_maps(files, tmp_path):

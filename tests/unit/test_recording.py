@@ -20,6 +20,7 @@ from streetscan.simulation.recording import (
     record_map,
     record_static,
     record_static_street,
+    seed_of_recording,
     tripod_positions,
     write_map,
 )
@@ -114,6 +115,18 @@ def test_navigation_errors_are_as_large_as_asked_and_smooth():
     assert np.abs(np.diff(drift, axis=0)).max() * 200 < 0.1  # no faster than 10 cm a second
     offset = (second.believed.positions - second.truth.positions).mean(axis=0)
     assert np.linalg.norm(offset[:2]) == pytest.approx(0.05, abs=0.02)
+
+
+def test_streets_of_a_city_share_no_error_of_navigation():
+    seeds = {seed_of_recording(split, 1) for split in ("train", "validation", "test")}
+    assert len(seeds) == 3
+    assert seed_of_recording("train", 1) in seeds
+    drifts = []
+    for seed in seeds:
+        first, _ = plan_passes(street(length_m=300.0), Errors(0.03, (0.05, 0.05), 0.0), seed)
+        drifts.append((first.believed.positions - first.truth.positions)[:1000])
+    for a, b in itertools.combinations(drifts, 2):
+        assert np.abs(a - b).mean() > 0.005
 
 
 def test_each_scanner_is_mounted_a_little_otherwise_than_believed():

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from streetscan.classes import UNLABELLED
-from streetscan.segmentation.turning import turn_map
+from streetscan.segmentation.turning import _share_out, turn_map
 from streetscan.voxels import voxelize
 
 
@@ -61,3 +61,33 @@ def test_copies_lie_apart_and_unlabelled_stays_unlabelled():
     x = np.unique(turned.keys[:, 0])
     assert (np.diff(x) > 400).sum() == 2
     assert (turned_labels == UNLABELLED).all()
+
+
+def test_tiles_are_shared_out_among_copies_with_all_that_surrounds_them():
+    points, grid, labels = make_map()
+    whole, whole_labels = turn_map(lambda: [points], grid, labels, 4)
+    shared, shared_labels = turn_map(lambda: np.array_split(points, 3), grid, labels, 4, tile_m=2.0, margin_m=0.4)
+    # Every place is labelled in one copy, give or take the voxels that a tile's edge cuts.
+    n_labelled = (shared_labels != UNLABELLED).sum()
+    assert n_labelled == pytest.approx((whole_labels != UNLABELLED).sum() / 4, rel=0.12)
+    assert shared.counts.sum() < 0.6 * whole.counts.sum()
+    # A shared voxel is one of the whole copies, and well within a tile it is the same to the last point.
+    rows = whole.find(shared.keys)
+    assert (rows >= 0).all()
+    labelled = np.flatnonzero(shared_labels != UNLABELLED)
+    reach = np.abs(whole.keys[:, None] - shared.keys[labelled[::97]]).max(axis=2) <= 2  # 0.3 m in all directions, within the margin
+    around = [np.flatnonzero(column) for column in reach.T]
+    assert all((shared.find(whole.keys[near]) >= 0).all() for near in around)
+    equal = shared.counts[labelled] == whole.counts[rows[labelled]]
+    assert equal.all()
+    assert (shared_labels[labelled] == whole_labels[rows[labelled]]).mean() > 0.99
+
+
+def test_a_tiles_edge_splits_no_point_and_gives_none_twice_to_its_own_copy():
+    points = np.random.default_rng(1).uniform(-50, 50, (5000, 3))
+    is_copied, is_own = _share_out(points[:, :2], 4, 10.0, 1.0)
+    assert (is_own.sum(axis=0) == 1).all()
+    assert (is_copied >= is_own).all()
+    alone = np.all((points[:, :2] % 10.0 > 1.0) & (points[:, :2] % 10.0 < 9.0), axis=1)
+    assert (is_copied[:, alone].sum(axis=0) == 1).all()
+    assert (is_copied[:, ~alone].sum(axis=0) > 1).all()

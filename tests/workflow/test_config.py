@@ -114,6 +114,18 @@ SELF_STARTED = {"channels": ["count"], "weights": "own", "initial": "city_tiny/a
         ({"voxel_variants": {"city": {"dataset": "city_tiny", "size_m": 0.2}}}, "voxel_variants: 'city'"),
         ({"tuned_models": ["city_tiny/c2cnn_shipped"]}, "no network trained on that data set"),
         ({"tuned_models": ["city_tiny/lightgbm"]}, "no network trained on that data set"),
+        ({"refined_models": ["city_tiny/lightgbm"]}, "refined_models: 'city_tiny/lightgbm' is no network trained on that data set"),
+        ({"labelled_maps": ["city_tiny/c2cnn_seed_x"]}, "model 'c2cnn_seed_x': what follows _seed_ is no whole number"),
+        ({"labelled_maps": ["city_tiny/resnet_seed_2"]}, "model 'resnet' is not in the config"),
+        ({"labelled_maps": ["city_tiny/c2cnn_shipped_seed_2"]}, "the shipped network is not trained again; use c2cnn_shipped."),
+        ({"labelled_maps": ["city_tiny/c2cnn", "city_tiny/c2cnn_seed_1"]}, "'city_tiny/c2cnn' is named twice with seed 1"),
+        ({"tuned_models": ["city_tiny/c2cnn_seed_02", "city_tiny/c2cnn_seed_2"]}, "'city_tiny/c2cnn' is named twice with seed 2"),
+        ({"thinned_models": ["city_tiny/lightgbm"]}, "thinned_models: 'city_tiny/lightgbm' is no network"),
+        (
+            {"thinned_models": ["own_scan/c2cnn_shipped"]},
+            "is no network on a data set with labels",
+        ),
+        ({"models": {"c2cnn_seed_2": {**SELF_STARTED}}}, "c2cnn_seed_2 is not allowed"),
     ],
 )
 def test_impossible_value_is_named_in_one_sentence(override, named, tmp_path):

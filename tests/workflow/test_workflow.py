@@ -1,5 +1,6 @@
 """The workflow as a whole: lint, diagram, rules with logs and resources, re-runs after edits."""
 
+import json
 import re
 import shlex
 import shutil
@@ -92,6 +93,47 @@ def test_compared_networks_are_trained_and_no_map_is_labelled(tmp_path):
     assert rules.count("voxelize_map") == 14
     assert rules.count("simulate_city") == 2
     assert not set(rules) & {"label_map", "clean_map", "evaluate_labels"}
+
+
+def test_networks_label_fewer_points_of_the_validation_and_test_parts(tmp_path):
+    jobs = dry_run("--configfile", str(HOME / "config" / "density.yaml"), directory=tmp_path)
+    thinned = [job for job in jobs if job.rule == "evaluate_thinning"]
+    assert sorted(job.wildcards["split"] for job in thinned) == ["test", "validation"]
+    for model in ("c2cnn_raw", "c2cnn", "c2cnn_thinned", "c2cnn_local", "og_cnn"):
+        assert all(f"results/calibrate_segmenter/city/{model}/weights.safetensors" in job.inputs for job in thinned)
+    (tables,) = (job for job in jobs if job.rule == "tabulate_benchmarks")
+    assert "results/evaluate_thinning/city/test/scores.csv" in tables.inputs
+    assert not {job.rule for job in jobs} & {"label_map", "evaluate_labels", "evaluate_views"}
+
+
+def test_turns_and_smoothing_are_compared_on_the_validation_part(tmp_path):
+    """Of networks that share a training, and no map of the test part is made."""
+    jobs = dry_run("--configfile", str(HOME / "config" / "refinement.yaml"), directory=tmp_path)
+    rules = [job.rule for job in jobs]
+    assert rules.count("train_segmenter") == 1
+    assert sorted(job.wildcards["model"] for job in jobs if job.rule == "evaluate_refinements") == ["c2cnn", "c2cnn_natural"]
+    assert not any("/test/" in path for job in jobs for path in job.outputs)
+
+
+def test_a_seed_after_a_models_name_trains_it_again_on_the_same_streets(tmp_path):
+    jobs = dry_run("--configfile", str(HOME / "config" / "seeds.yaml"), directory=tmp_path)
+    models = ["c2cnn", "c2cnn_seed_2", "c2cnn_seed_3"]
+    for rule in ("train_segmenter", "calibrate_segmenter", "label_map", "evaluate_labels"):
+        assert sorted(job.wildcards["model"] for job in jobs if job.rule == rule) == models
+    assert [job.rule for job in jobs].count("turn_map") == 1
+    for rule in ("evaluate_views", "clean_map", "extract_objects"):
+        assert [job.wildcards["model"] for job in jobs if job.rule == rule] == ["c2cnn"]
+    (tables,) = (job for job in jobs if job.rule == "tabulate_benchmarks")
+    assert {f"results/evaluate_labels/city/{m}/scores.csv" for m in models} <= set(tables.inputs)
+
+
+def test_a_seed_goes_through_to_what_a_model_takes_and_starts_from(tmp_path, shared_data):
+    chosen = ["oakland/c2cnn_city_seed_2", "oakland/c2cnn_from_city_seed_2", "oakland/lightgbm_seed_2"]
+    jobs = dry_run("--config", f"data_root={shared_data}", f"labelled_maps={json.dumps(chosen)}", directory=tmp_path)
+    trained = {job.wildcards["dataset"] + "/" + job.wildcards["model"]: job for job in jobs if job.rule.startswith("train_")}
+    assert sorted(trained) == ["city/c2cnn_seed_2", "oakland/c2cnn_from_city_seed_2", "oakland/lightgbm_seed_2"]
+    initial = "results/train_segmenter/city/c2cnn_seed_2/weights.safetensors"
+    assert initial in trained["oakland/c2cnn_from_city_seed_2"].inputs
 
 
 def test_a_model_may_be_calibrated_for_the_shares_of_another_map(tmp_path, shared_data):
