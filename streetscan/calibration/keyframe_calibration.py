@@ -565,7 +565,8 @@ def _judge(made: KeyframeCalibration, q: QualitySettings) -> None:
     if not f["edge_px"] < q.max_edge_px:
         raise CalibrationFailed("no_edges", "no image edge is near any edge that the lidar sees, or it sees none")
     if not f["edge_margin_px"] >= q.min_edge_margin_px:
-        raise CalibrationFailed("edges_disagree", f"turned, edges lie {-f['edge_margin_px']:.2f} px nearer")
+        found = f"turned one way, edges lie {f['edge_margin_px']:.2f} px farther, asked for {q.min_edge_margin_px:g} px"
+        raise CalibrationFailed("edges_disagree", found)
     if "gain_m" in f and not all(judge_gain(f, q).values()):
         raise CalibrationFailed(
             "not_better",
