@@ -96,10 +96,19 @@ def lidar_poses() -> list[FramePose]:
     return poses
 
 
-def toy_keyframe(seed: int = 0, scale: float = 1.0) -> ToyKeyframe:
-    """The keyframe; the camera's cloud is `scale` times as large as it should be."""
+def row_of_posts(spacing_m: float) -> np.ndarray:
+    """(N, 3) surfaces of a road along x with equal posts at equal distances on both sides, frame `lidar` at the stamp."""
+    rng = np.random.default_rng(0)
+    parts = [np.c_[rng.uniform(-20, 45, 80_000), rng.uniform(-9, 9, 80_000), np.zeros(80_000)]]
+    angles, heights = rng.uniform(-np.pi, np.pi, 900), rng.uniform(0, 2.4, 900)
+    parts += [np.c_[x + 0.1 * np.cos(angles), y + 0.1 * np.sin(angles), heights] for y in (-5, 5) for x in np.arange(-20, 45, spacing_m)]
+    return np.concatenate(parts) - [0, 0, HEIGHT_M]
+
+
+def toy_keyframe(seed: int = 0, scale: float = 1.0, posts_m: float | None = None) -> ToyKeyframe:
+    """The keyframe; the camera's cloud is `scale` times as large as it should be, and the street one of posts where they are asked for."""
     rng = np.random.default_rng(seed + 1)
-    surface = street_points(seed)
+    surface = street_points(seed) if posts_m is None else row_of_posts(posts_m)
     ranges = np.linalg.norm(surface, axis=1)
     stamp = surface[(ranges > 2.5) & (ranges < 40) & is_in_front(surface)]
     offsets = -np.arctan2(stamp[:, 1], stamp[:, 0]) / (2 * np.pi) * 0.1

@@ -14,10 +14,10 @@ from streetscan.calibration.quality import SURE, QualitySettings, judge_gain
 
 # What the reader of a calibration should know of its verdict.
 HOW_TO_READ = (
-    "How to know that a calibration is right, without truth: the clouds of lidar and camera must lie on each other at one place only, the "
-    "objects matched there must lie on the camera's surfaces, what the clouds leave open across the image must be small, image edges must "
-    "lie where the lidar sees the sides of things, nearer than when the calibration is turned, and the calibration in force must fit "
-    "worse. Beside it, look at the picture Projected: blue points belong on their objects, and depths change where the image has an "
+    "How to know that a calibration is right, without truth: the objects of lidar and camera matched under it must lie on the camera's "
+    "surfaces, what the clouds leave open across the image must be small, image edges must lie where the lidar sees the sides of things, "
+    "nearer than when the calibration is turned, no other place may fit as well, and the calibration in force must "
+    "fit worse. Beside it, look at the picture Projected: blue points belong on their objects, and depths change where the image has an "
     "outline. Why one that is ok may still be worse than the calibration before it: no check objecting is not the same as being right. "
     "Sides of things tell a turn to the left or right, hardly one up or down, which rests on the ground in both clouds. Smooth walls "
     "leave open where along the street the lidar is. Equal things at equal distances fit one place further on, too. An error that both "
@@ -37,7 +37,6 @@ def checks_of(row: Mapping, settings: CalibrationSettings) -> list[Check]:
     least, most = _limit(row, at_least=True), _limit(row, at_least=False)
     lines = [
         least("Overlap of the clouds", "overlap", a.min_overlap, "fraction"),
-        least("Lead over the next place, as a share of the overlap", "margin", a.min_margin, "fraction"),
         _told(row, "Points of the lidar that ICP laid on the camera's surfaces", "n_icp", ""),
         _told(row, "Scale ICP gave the camera's cloud", "scale", "fraction"),
         least("Matched objects", "n_matched", q.min_objects, ""),
@@ -47,6 +46,7 @@ def checks_of(row: Mapping, settings: CalibrationSettings) -> list[Check]:
         least("Edges: how much nearer than with the camera turned", "edge_margin_px", q.min_edge_margin_px, "px"),
         _told(row, "Edges: distance under this calibration", "edge_px", "px"),
         _told(row, "Edges: distance under the calibration in force", "edge_before_px", "px"),
+        most("Other places that fit as well", "n_rivals", 0, ""),
         *_better(row, q),
         _told(row, "Turn of the camera's way that edges find", "bend_found_deg", "deg"),
         _told(row, "... and that was corrected, since they are sure of it", "bend_deg", "deg"),

@@ -14,10 +14,11 @@ below its size a side is noise.
 ASSUME: the scale of a cloud of images is known within a few percent; the vote, which is rigid, is held at a few scales.
 
 Beyond the thesis: with few objects in a camera's view the highest cell of the vote is often chance. Its best peaks, and places found by
-laying what stands in both clouds on each other seen from above, are refined in short and compared by how much of each cloud lies on the
-other where both see.
+laying what stands in both clouds on each other seen from above, are refined in short and ordered by how much of each cloud lies on the
+other where both see. Where a bus or tram fills the view the most overlap is chance, too, so the first few are all calibrated and judged.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -79,30 +80,30 @@ class AlignmentSettings:
 
     Attributes:
         min_ratio, max_ratio: of the sides of boxes that may be one object (thesis: 0.7, 1.4).
-        window: what the vote searches, in steps of 0.25 degrees and 0.2 m: the full circle and 15 m in the thesis. ASSUME: 5 m, because
-            both frames begin at their sensors, which are on one vehicle.
+        window: what is searched, in steps of 0.25 degrees and 0.2 m: the full circle and 15 m in the thesis. ASSUME: 3 m, because both
+            frames begin at their sensors, which are on one car.
         scales: of the camera's cloud, tried one after the other.
         n_peaks: peaks of a vote, and places of a search by points, that are compared at each scale.
         reach_m: centres of objects that agree are this near after the vote.
         is_searched: compare places found by points too; thesis: no.
         cube_m: edge of the cubes in which clouds are compared.
         n_refined: candidates that are refined in short before they are compared.
-        min_overlap: least overlap of the clouds; with less there is no match.
-        min_margin: least lead of the overlap over the next place's, as a share; with less the match is ambiguous.
+        n_places: places that are calibrated and judged; thesis: one.
+        min_overlap: least overlap of the clouds at a place; with less there is no match.
         icp: see IcpSettings.
     """
 
     min_ratio: float = 0.7
     max_ratio: float = 1.4
-    window: Window = field(default_factory=lambda: Window(turn_deg=180.0, shift_m=5.0, rise_m=1.0))
+    window: Window = field(default_factory=lambda: Window(turn_deg=180.0, shift_m=3.0, rise_m=1.0))
     scales: tuple[float, ...] = (0.97, 1.0, 1.03)
     n_peaks: int = 12
     reach_m: float = 0.8
     is_searched: bool = True
     cube_m: float = 0.4
     n_refined: int = 12
-    min_overlap: float = 0.12
-    min_margin: float = 0.05
+    n_places: int = 4
+    min_overlap: float = 0.05
     icp: IcpSettings = field(default_factory=IcpSettings)
 
     def __post_init__(self):
@@ -119,7 +120,6 @@ class Alignment:
         votes: of the peak's cell and its neighbours; 0 for a place found by points.
         n_pairs: objects that agree, likewise.
         overlap: how much of each cloud lies on the other, 0 to 1; NaN before it is measured.
-        margin: lead over the next place, as a share; 1 without another.
     """
 
     T_sfm_lidar: np.ndarray
@@ -127,7 +127,6 @@ class Alignment:
     votes: int = 0
     n_pairs: int = 0
     overlap: float = np.nan
-    margin: float = 1.0
 
 
 def find_compatible(lidar: CloudObjects, sfm: CloudObjects, scale: float, s: AlignmentSettings) -> np.ndarray:
@@ -193,10 +192,10 @@ def nearby_alignments(lidar: CloudObjects, sfm: CloudObjects) -> list[Alignment]
     return [Alignment(_between(lidar, sfm, T), "nearby") for T in places]
 
 
-def align_clouds(
+def find_places(
     lidar: CloudObjects, sfm: CloudObjects, target: "PlaneTarget", view: View, settings: AlignmentSettings, is_one_way: bool = False
-) -> Alignment | None:
-    """The place where most of both clouds lies on the other; None when there is none at all.
+) -> list[Alignment]:
+    """The places within the window where most of both clouds lies on the other, best first and apart from each other.
 
     Args:
         lidar, sfm: objects of the two clouds.
@@ -213,19 +212,27 @@ def align_clouds(
     comparison = _Comparison(lidar, sfm, view, s.cube_m)
     for c in candidates:
         c.overlap = comparison.overlap(c.T_sfm_lidar)
-    chosen: list[Alignment] = []
-    for c in sorted(candidates, key=lambda c: -c.overlap):
-        if len(chosen) < s.n_refined and all(_is_apart(c, other, 0.4, np.radians(1.5)) for other in chosen):
-            chosen.append(c)
+    chosen = _first_apart(candidates, s.n_refined, 0.4, np.radians(1.5))
     points, comparison = points_of_cloud(lidar), _Comparison(lidar, sfm, view, s.cube_m / 2)
     for c in chosen:
         c.T_sfm_lidar = refine_alignment(points, target, c.T_sfm_lidar, _SHORT).T_sfm_lidar
         c.overlap = comparison.overlap(c.T_sfm_lidar)
-    chosen.sort(key=lambda c: -c.overlap)
-    if chosen:
-        others = [c.overlap for c in chosen[1:] if _is_apart(c, chosen[0], 1.0, np.radians(3.0))]
-        chosen[0].margin = 1 - others[0] / chosen[0].overlap if others and chosen[0].overlap > 0 else 1.0
-    return chosen[0] if chosen else None
+    inside = [c for c in chosen if np.abs(_shift(lidar, sfm, c.T_sfm_lidar)[:2]).max() <= s.window.shift_m]
+    return _first_apart([c for c in inside if c.overlap >= s.min_overlap], s.n_places, 0.3, np.radians(1.0))
+
+
+def _first_apart(candidates: Sequence[Alignment], n: int, shift_m: float, turn_rad: float) -> list[Alignment]:
+    """At most n of the candidates, best overlap first, none nearer to another than a shift and a turn."""
+    chosen: list[Alignment] = []
+    for c in sorted(candidates, key=lambda c: -c.overlap):
+        if len(chosen) < n and all(is_apart(c.T_sfm_lidar, other.T_sfm_lidar, shift_m, turn_rad) for other in chosen):
+            chosen.append(c)
+    return chosen
+
+
+def _shift(lidar: CloudObjects, sfm: CloudObjects, T_sfm_lidar: np.ndarray) -> np.ndarray:
+    """(3,) from the camera's cloud's origin to the lidar's, in the former's level frame."""
+    return (sfm.T_level_cloud @ T_sfm_lidar @ invert(lidar.T_level_cloud))[:3, 3]
 
 
 class _Comparison:
@@ -245,14 +252,14 @@ class _Comparison:
         return float(np.sqrt(np.prod(np.nan_to_num(shares))))
 
 
-def _is_apart(a: Alignment, b: Alignment, shift_m: float, turn_rad: float) -> bool:
-    """Whether two places differ by more than a shift or a turn."""
-    change = rigid_of(invert(b.T_sfm_lidar) @ a.T_sfm_lidar)
+def is_apart(T_a: np.ndarray, T_b: np.ndarray, shift_m: float, turn_rad: float) -> bool:
+    """Whether two places (4, 4) differ by more than a shift or a turn."""
+    change = rigid_of(invert(T_b) @ T_a)
     return bool(np.linalg.norm(change[:3, 3]) > shift_m or rotation_angle(change) > turn_rad)
 
 
 # The refinement before candidates are compared.
-_SHORT = IcpSettings(reaches_m=(0.8, 0.4), n_iterations=6, thin_m=0.3, min_pairs=50)
+_SHORT = IcpSettings(reaches_m=(0.8, 0.4, 0.2), n_iterations=12, thin_m=0.3, min_pairs=50)
 
 
 def standing_points(cloud: CloudObjects, low_m: float = 0.5, high_m: float = 3.0) -> np.ndarray:

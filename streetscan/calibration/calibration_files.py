@@ -28,8 +28,8 @@ from streetscan.registration.odometry import FramePose
 
 # Numbers of a keyframe in its row; those its status did not let be found are empty.
 FIGURES = (
-    "n_lidar_objects", "n_sfm_objects", "n_lidar_voxels", "n_sfm_voxels", "n_lidar_columns", "n_matched", "n_icp", "icp_rmse_m", "scale",
-    "bend_deg", "bend_found_deg", "bend_std_deg", "bend_gain_px",
+    "n_lidar_objects", "n_sfm_objects", "n_lidar_voxels", "n_sfm_voxels", "n_lidar_columns", "n_places", "n_rivals", "n_matched", "n_icp",
+    "icp_rmse_m", "scale", "bend_deg", "bend_found_deg", "bend_std_deg", "bend_gain_px",
     "median_distance_m", "hausdorff_m", "sigma_x_px", "sigma_y_px", "edge_px", "edge_before_px", "edge_margin_px",
     "distance_before_m", "distance_after_m", "gain_m", "gain_std_m", "edge_gain_px", "edge_gain_std_px",
 )  # fmt: skip
@@ -189,6 +189,6 @@ def summarize(made: KeyframeCalibration, keyframe: int) -> pd.DataFrame:
     """One row: status, reason, how the clouds were aligned, figures, seconds."""
     a = made.alignment
     row = {"keyframe": f"{keyframe:02d}", "status": made.status, "reason": made.reason, "source": a.source if a else ""}
-    row |= {"votes": a.votes if a else 0, "overlap": a.overlap if a else np.nan, "margin": a.margin if a else np.nan}
+    row |= {"votes": a.votes if a else 0, "overlap": a.overlap if a else np.nan}
     row |= {name: made.figures.get(name, np.nan) for name in FIGURES}
     return pd.DataFrame([row | {f"{name}_s": round(made.seconds.get(name, np.nan), 2) for name in SECONDS}])

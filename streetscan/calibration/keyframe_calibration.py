@@ -14,6 +14,7 @@ thesis' own chain, T1 T* T_R on the raw frame's object centroids, is the stage `
 """
 
 import time
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -24,18 +25,20 @@ from streetscan.calibration.alignment import (
     ControlPoints,
     PlaneTarget,
     Registration,
-    align_clouds,
+    find_places,
+    is_apart,
     match_objects,
     prepare_target,
     refine_alignment,
     scale_of,
 )
 from streetscan.calibration.control_curves import ControlCurves, fit_curves
-from streetscan.calibration.linear_projection import LinearProjection, View, camera_of, fit_projection, linear_of
+from streetscan.calibration.linear_projection import LinearProjection, View, camera_of, fit_projection, linear_of, rigid_of
 from streetscan.calibration.motion import LidarMotion
 from streetscan.calibration.objects import CloudObjects, ObjectSettings, count_columns, find_level, find_objects
 from streetscan.calibration.quality import (
     LEAST_GAIN_PX,
+    SURE,
     EdgeCheck,
     QualitySettings,
     find_bend,
@@ -46,7 +49,7 @@ from streetscan.calibration.quality import (
     sum_bundles,
 )
 from streetscan.errors import BadInput
-from streetscan.geometry import apply, invert, transform, transform_of_rotation
+from streetscan.geometry import apply, invert, rotation_angle, transform, transform_of_rotation
 from streetscan.registration.ndt import thin_points
 
 # The stages whose projections are kept, in their order.
@@ -169,53 +172,138 @@ class KeyframeCalibration:
 def calibrate_keyframe(clouds: KeyframeClouds, settings: CalibrationSettings = CalibrationSettings()) -> KeyframeCalibration:
     """The calibration at one keyframe; its status says whether to believe it.
 
+    The places where the clouds lie on each other best are all calibrated and judged.
+
     Raises:
         BadInput: the calibration in force is no transform.
     """
     if clouds.T_initial is not None and not np.isfinite(clouds.T_initial).all():
         raise BadInput("T_camera_lidar in force", "a value that is not finite", "give a rigid transform, or none")
     made = KeyframeCalibration()
+    clock = _Clock(made.seconds)
     try:
-        _calibrate(clouds, settings, made)
+        scene = _prepare(clouds, settings, made, clock)
+        places = find_places(made.lidar, made.sfm, scene.target, clouds.view, scene.alignment, _ways(clouds, settings) is not None)
+        clock.stop("alignment")
+        if not places:
+            raise CalibrationFailed("no_match", f"the clouds overlap nowhere by {100 * scene.alignment.min_overlap:.0f} %")
+    except CalibrationFailed as failure:
+        made.status, made.reason = failure.status, str(failure)
+        return made
+    tried = [_calibrate_at(place, clouds, settings, scene, made, clock) for place in places]
+    chosen = choose_place(tried, lambda a, b: _outdoes(clouds, settings, scene, a, b))
+    clock.stop("quality")
+    return chosen
+
+
+def choose_place(
+    tried: Sequence[KeyframeCalibration], outdoes: Callable[[KeyframeCalibration, KeyframeCalibration], bool]
+) -> KeyframeCalibration:
+    """Of the places that pass the one whose edges lie nearest, refused if another is as good; where none passes, the first place's refusal.
+
+    Args:
+        tried: the calibration at each place, the most overlap first.
+        outdoes: whether the first calibration explains clouds and image clearly better than the second.
+    """
+    passing = [m for m in tried if m.status == "ok"]
+    best = min(passing, key=lambda m: m.figures["edge_px"]) if passing else tried[0]
+    rivals = [m for m in passing if is_apart(m.T_camera_stamp, best.T_camera_stamp, *_RIVAL) and not outdoes(best, m)]
+    best.figures |= {"n_places": len(tried), "n_rivals": len(rivals)}
+    if rivals:
+        change = rigid_of(invert(best.T_camera_stamp) @ rivals[0].T_camera_stamp)
+        away = f"{np.linalg.norm(change[:3, 3]):.1f} m and {np.degrees(rotation_angle(change)):.1f} degrees away"
+        best.status, best.reason = "ambiguous", f"{away} the clouds and edges fit as well"
+    return best
+
+
+# Of two calibrations farther apart than this (m, rad) one is wrong.
+_RIVAL = 0.3, np.radians(1.0)
+
+
+def _outdoes(c: KeyframeClouds, s: CalibrationSettings, scene: "_Scene", a: KeyframeCalibration, b: KeyframeCalibration) -> bool:
+    """Whether clouds or edges speak for calibration a over b by more than their noise, and neither against it."""
+    is_straight = a.figures.get("bend_deg", 0.0) == b.figures.get("bend_deg", 0.0) == 0
+    told = _compare(c, s, scene, 1 / a.figures["scale"], b.T_camera_stamp, a.T_camera_stamp, None if is_straight else True)
+    says = [(told["edge_gain_px"], SURE * told["edge_gain_std_px"])]
+    # A cloud that edges have corrected has no say.
+    if is_straight:
+        says.append((told["gain_m"], SURE * told["gain_std_m"]))
+    return any(gain > noise for gain, noise in says) and all(gain > -noise for gain, noise in says)
+
+
+@dataclass
+class _Scene:
+    """What the places of a keyframe are calibrated with.
+
+    Attributes:
+        alignment: settings, the window as narrow as the motion allows.
+        points: (N, 3) of the lidar, freed of motion where it is known.
+        takes_part: (N,) bool, the points for ICP.
+        target: the camera's cloud.
+        raw_check, check: image edges against those of the raw points, and of `points`.
+    """
+
+    alignment: AlignmentSettings
+    points: np.ndarray
+    takes_part: np.ndarray
+    target: PlaneTarget
+    raw_check: EdgeCheck
+    check: EdgeCheck
+
+
+def _prepare(c: KeyframeClouds, s: CalibrationSettings, made: KeyframeCalibration, clock: "_Clock") -> _Scene:
+    """The objects of both clouds, in `made`, and all else that is the same for every place."""
+    a = _narrow(c, s)
+    if s.with_raw and (c.is_dynamic_sfm.any() or not c.is_static.all()):
+        _align_raw(c, s, a, made)
+        clock.stop("raw")
+    made.lidar, made.sfm = prepare_objects(c.points_lidar[c.is_static], c.points_sfm[~c.is_dynamic_sfm], c, s)
+    made.figures |= {f"n_{name}_objects": len(cloud) for name, cloud in (("lidar", made.lidar), ("sfm", made.sfm))}
+    made.figures |= {f"n_{name}_voxels": len(cloud.voxels) for name, cloud in (("lidar", made.lidar), ("sfm", made.sfm))}
+    made.figures["n_lidar_columns"] = count_columns(made.lidar.objects)
+    is_moving = c.motion is not None and c.time_offset_s is not None
+    points = c.motion.deskew(c.points_lidar, c.time_offset_s) if is_moving else c.points_lidar
+    near = np.linalg.norm(points, axis=1) < s.range_m
+    target = prepare_target(c.points_sfm[~c.is_dynamic_sfm | s.with_parked], c.cameras_sfm, c.view.K[0, 0], a.icp)
+    raw_check = EdgeCheck(c.image, c.points_lidar, s.quality)
+    check = EdgeCheck(c.image, points, s.quality) if is_moving else raw_check
+    clock.stop("objects")
+    return _Scene(a, points, (c.is_static | s.with_parked) & near, target, raw_check, check)
+
+
+def _calibrate_at(
+    place: Alignment, c: KeyframeClouds, s: CalibrationSettings, scene: _Scene, found: KeyframeCalibration, clock: "_Clock"
+) -> KeyframeCalibration:
+    """The calibration that begins at a place; `found` has the objects."""
+    made = replace(found, alignment=place, figures=dict(found.figures), stages=dict(found.stages))
+    try:
+        _register(c, s, scene, made, clock)
+        _judge(made, s.quality)
     except CalibrationFailed as failure:
         made.status, made.reason = failure.status, str(failure)
     return made
 
 
-def _calibrate(c: KeyframeClouds, s: CalibrationSettings, made: KeyframeCalibration) -> None:
-    clock = _Clock(made.seconds)
-    a, view = _narrow(c, s), c.view
-    if s.with_raw and (c.is_dynamic_sfm.any() or not c.is_static.all()):
-        _align_raw(c, s, a, made)
-        clock.stop("raw")
-    made.lidar, made.sfm = prepare_objects(c.points_lidar[c.is_static], c.points_sfm[~c.is_dynamic_sfm], c, s)
-    takes_part = c.is_static | s.with_parked
-    target = seen_target = prepare_target(c.points_sfm[~c.is_dynamic_sfm | s.with_parked], c.cameras_sfm, view.K[0, 0], a.icp)
-    made.figures |= {f"n_{name}_objects": len(cloud) for name, cloud in (("lidar", made.lidar), ("sfm", made.sfm))}
-    made.figures |= {f"n_{name}_voxels": len(cloud.voxels) for name, cloud in (("lidar", made.lidar), ("sfm", made.sfm))}
-    made.figures["n_lidar_columns"] = count_columns(made.lidar.objects)
-    clock.stop("objects")
-    made.alignment = align_clouds(made.lidar, made.sfm, target, view, a, _ways(c, s) is not None)
-    clock.stop("alignment")
-    _check_alignment(made.alignment, a)
+def _register(c: KeyframeClouds, s: CalibrationSettings, scene: _Scene, made: KeyframeCalibration, clock: "_Clock") -> None:
+    """ICP, control curves and projections from the place of `made` on."""
+    view, target, icp = c.view, scene.target, s.alignment.icp
     made.stages["objects"] = linear_of(view.T_camera_sfm @ made.alignment.T_sfm_lidar, view.K)
-    raw = refine_alignment(_near(c.points_lidar, takes_part, s), target, made.alignment.T_sfm_lidar, a.icp)
+    raw = refine_alignment(c.points_lidar[scene.takes_part], target, made.alignment.T_sfm_lidar, icp)
     made.stages["icp"] = linear_of(view.T_camera_sfm @ raw.T_sfm_lidar, view.K)
     clock.stop("icp")
     made.control = match_objects(made.lidar, target, raw.T_sfm_lidar)
     final = _fit_curves(c, s, made, raw.T_sfm_lidar)
     clock.stop("curves")
-    points, registered = c.points_lidar, raw
-    if c.motion is not None and c.time_offset_s is not None:
-        points = c.motion.deskew(c.points_lidar, c.time_offset_s)
-        registered = refine_alignment(_near(points, takes_part, s), target, raw.T_sfm_lidar, a.icp)
-        moving = _fit_raw(c, points, registered.T_sfm_lidar)
+    registered, near = raw, scene.points[scene.takes_part]
+    if scene.points is not c.points_lidar:
+        registered = refine_alignment(near, target, raw.T_sfm_lidar, icp)
+        moving = _fit_raw(c, scene.points, registered.T_sfm_lidar)
         if moving is not None:
             made.stages["motion"] = moving.projection
             final = moving if s.final != "curves" or final is None else final
         if s.final == "edges" and registered.is_converged:
-            registered, target = _straighten(c, s, points, _near(points, takes_part, s), registered, target, made)
-            moving = _fit_raw(c, points, registered.T_sfm_lidar)
+            registered, target = _straighten(c, s, near, registered, scene, made)
+            moving = _fit_raw(c, scene.points, registered.T_sfm_lidar)
             if moving is not None:
                 made.stages["edges"], final = moving.projection, moving
     made.T_camera_stamp, made.covariance = camera_of(view, registered.T_sfm_lidar), _in_camera(registered.covariance, view)
@@ -228,15 +316,13 @@ def _calibrate(c: KeyframeClouds, s: CalibrationSettings, made: KeyframeCalibrat
     if final is None:
         raise CalibrationFailed("no_projection", f"{len(made.control.objects)} objects are matched")
     made.projection, made.residuals_px = final.projection, final.residuals_px
-    _measure(c, s, made, points, registered.T_sfm_lidar, seen_target, target)
+    _measure(c, s, made, registered.T_sfm_lidar, scene, target)
     clock.stop("quality")
-    _judge(made, s.quality)
 
 
 def _straighten(
-    c: KeyframeClouds, s: CalibrationSettings, points: np.ndarray, near: np.ndarray, registered: Registration, target: PlaneTarget,
-    made: KeyframeCalibration,
-) -> tuple[Registration, PlaneTarget]:  # fmt: skip
+    c: KeyframeClouds, s: CalibrationSettings, near: np.ndarray, registered: Registration, scene: _Scene, made: KeyframeCalibration
+) -> tuple[Registration, PlaneTarget]:
     """The registration after the way of the camera is corrected by image edges, and the camera's cloud as it then is.
 
     Beyond the thesis. Structure from motion hardly tells a turn of all images from a way to the side; the street then comes out turned
@@ -245,8 +331,8 @@ def _straighten(
     A correction is kept only if the edges tell it from none and those kept for the check lie nearer for it; a street whose edges are
     everywhere has many places where some do. Else all stays as the clouds have it.
     """
-    check, before = EdgeCheck(c.image, points, s.quality), (registered, target)
-    total = 0.0
+    check, target, total = scene.check, scene.target, 0.0
+    before = registered, target
     for share in _STRAIGHTENED:
         found = find_bend(
             check,
@@ -279,18 +365,15 @@ def _in_camera(covariance: np.ndarray, view: View) -> np.ndarray:
     return turn @ covariance @ turn.T
 
 
-def _near(points: np.ndarray, is_static: np.ndarray, s: CalibrationSettings) -> np.ndarray:
-    """The static points that take part in ICP."""
-    return points[is_static & (np.linalg.norm(points, axis=1) < s.range_m)]
-
-
 class _Clock:
+    """Wall time by stage; a stage that comes again adds to it."""
+
     def __init__(self, seconds: dict[str, float]):
         self._seconds, self._last = seconds, time.perf_counter()
 
     def stop(self, stage: str) -> None:
         now = time.perf_counter()
-        self._seconds[stage], self._last = now - self._last, now
+        self._seconds[stage], self._last = self._seconds.get(stage, 0.0) + now - self._last, now
 
 
 def prepare_objects(
@@ -299,7 +382,7 @@ def prepare_objects(
     """Objects of both clouds, each level, x being the way the vehicle goes where it is known.
 
     Raises:
-        CalibrationFailed: a cloud has no ground or no object.
+        CalibrationFailed: a cloud has no ground or no object. One of images without any may still be found by its points.
     """
     found, ways = [], _ways(c, s) or (None, None)
     clouds = ("lidar", points_lidar, np.eye(4)), ("camera's", points_sfm, _UPRIGHT @ c.view.T_camera_sfm)
@@ -313,7 +396,7 @@ def prepare_objects(
         # x of the level frame is the way both sensors go, so that what is left to turn is small.
         T = transform(rpy_rad=(0, 0, -_heading(T, way))) @ T if way is not None else T
         found.append(find_objects(cloud, T, s.objects))
-        if len(found[-1]) == 0:
+        if len(found[-1]) == 0 and (name == "lidar" or not s.alignment.is_searched):
             raise CalibrationFailed("too_few_objects", f"no object in the {name} cloud within {s.objects.range_m:g} m")
     return tuple(found)
 
@@ -352,17 +435,9 @@ def _align_raw(c: KeyframeClouds, s: CalibrationSettings, a: AlignmentSettings, 
     except CalibrationFailed:
         return
     target = prepare_target(c.points_sfm, c.cameras_sfm, c.view.K[0, 0], a.icp)
-    found = align_clouds(lidar, sfm, target, c.view, a, _ways(c, s) is not None)
-    if found is not None:
-        made.stages["objects_raw"] = linear_of(c.view.T_camera_sfm @ found.T_sfm_lidar, c.view.K)
-
-
-def _check_alignment(found: Alignment | None, a: AlignmentSettings) -> None:
-    if found is None or found.overlap < a.min_overlap:
-        share = 0.0 if found is None else found.overlap
-        raise CalibrationFailed("no_match", f"the clouds overlap by {100 * share:.0f} % of at least {100 * a.min_overlap:.0f} %")
-    if found.margin < a.min_margin:
-        raise CalibrationFailed("ambiguous", f"another place fits {100 * (1 - found.margin):.0f} % as well")
+    places = find_places(lidar, sfm, target, c.view, a, _ways(c, s) is not None)
+    if places:
+        made.stages["objects_raw"] = linear_of(c.view.T_camera_sfm @ places[0].T_sfm_lidar, c.view.K)
 
 
 def _fit_curves(c: KeyframeClouds, s: CalibrationSettings, made: KeyframeCalibration, T_sfm_lidar: np.ndarray) -> LinearProjection | None:
@@ -390,18 +465,13 @@ def _fit_raw(c: KeyframeClouds, deskewed: np.ndarray, T_sfm_lidar: np.ndarray) -
 
 
 def _measure(
-    c: KeyframeClouds,
-    s: CalibrationSettings,
-    made: KeyframeCalibration,
-    points,
-    T_sfm_lidar,
-    target: PlaneTarget,
-    straightened: PlaneTarget,
+    c: KeyframeClouds, s: CalibrationSettings, made: KeyframeCalibration, T_sfm_lidar: np.ndarray, scene: _Scene, straightened: PlaneTarget
 ) -> None:
     """Distances of the registered clouds and of edges, and the evidence other calibrations are compared on.
 
-    `target` is the camera's cloud as it is, `straightened` as edges have corrected it: what the registration lies on.
+    `straightened` is the camera's cloud as edges have corrected it: what the registration lies on.
     """
+    points, target = scene.points, scene.target
     lidar, numbers = made.lidar, made.control.objects
     members = np.concatenate([lidar.points_of(m) for m in numbers]) if len(numbers) else np.empty((0, 3))
     raw = apply(invert(lidar.T_level_cloud), members)
@@ -420,29 +490,33 @@ def _measure(
     # In the lidar's metres, as T_camera_stamp is.
     planes = apply(to_camera, straightened.points[nearest]) / scale_of(T_sfm_lidar)
     made.evidence = np.concatenate([own[rows], planes, straightened.normals[nearest] @ to_camera[:3, :3].T], axis=1)
-    check = EdgeCheck(c.image, c.points_lidar, s.quality)
-    made.figures |= {"edge_px": check.distance_px(made.projection), "edge_margin_px": check.margin_px(made.projection, c.view.K)}
+    check = scene.raw_check
+    # Edges that corrected the way of the camera cannot judge it.
+    judges = True if made.figures.get("bend_deg", 0.0) != 0 else None
+    made.figures |= {"edge_px": check.distance_px(made.projection), "edge_margin_px": check.margin_px(made.projection, c.view.K, judges)}
     if c.T_initial is not None:
         before = c.T_initial if c.motion is None else c.T_initial @ invert(c.motion.at([c.motion.image_s])[0])
         made.figures["edge_before_px"] = check.distance_px(linear_of(before, c.view.K))
-        made.figures |= _compare(c, s, points, target, scale_of(T_sfm_lidar), before, made.T_camera_stamp)
+        made.figures |= _compare(c, s, scene, scale_of(T_sfm_lidar), before, made.T_camera_stamp)
 
 
 def _compare(
-    c: KeyframeClouds, s: CalibrationSettings, points: np.ndarray, target: PlaneTarget, scale: float, before: np.ndarray, after: np.ndarray
-) -> dict[str, float]:
-    """What speaks for one transform (4, 4) into the camera over the one in force: distances of the clouds, and of edges kept for the check.
+    c: KeyframeClouds, s: CalibrationSettings, scene: _Scene, scale: float, before: np.ndarray, after: np.ndarray,
+    is_kept: bool | None = True,
+) -> dict[str, float]:  # fmt: skip
+    """What speaks for one transform (4, 4) into the camera over another: distances of the clouds, and of edges (`is_kept` of EdgeCheck).
 
     Neither may choose what it is measured on: the points are all static ones that one of the two has in view, the planes are sought anew
     under each, and a point without any counts as far as the reach. Deviations are over bundles of directions, as neighbours err alike.
     """
-    reach, near = s.alignment.icp.reaches_m[1], thin_points(points[c.is_static & (np.linalg.norm(points, axis=1) < s.objects.range_m)], 0.1)
+    points, reach = scene.points, s.alignment.icp.reaches_m[1]
+    near = thin_points(points[c.is_static & (np.linalg.norm(points, axis=1) < s.objects.range_m)], 0.1)
     both = [invert(c.view.T_camera_sfm) @ np.diag([scale, scale, scale, 1.0]) @ T for T in (before, after)]
     near = near[c.view.sees(apply(both[0], near)) | c.view.sees(apply(both[1], near))]
-    distances = np.stack([np.fmin(plane_distances(apply(T, near), target, reach), reach) for T in both], axis=1)
+    distances = np.stack([np.fmin(plane_distances(apply(T, near), scene.target, reach), reach) for T in both], axis=1)
     sums, counts = sum_bundles(near, distances)
     gain, std = paired_gain(sums, counts)
-    edges = EdgeCheck(c.image, points, s.quality).sum_bundles([linear_of(T, c.view.K) for T in (before, after)], True)
+    edges = scene.check.sum_bundles([linear_of(T, c.view.K) for T in (before, after)], is_kept)
     edge_gain, edge_std = paired_gain(*edges)
     means = sums.sum(axis=0) / counts.sum() if len(counts) else np.full(2, np.nan)
     told = {"distance_before_m": means[0], "distance_after_m": means[1], "gain_m": gain, "gain_std_m": std}
@@ -491,7 +565,8 @@ def _judge(made: KeyframeCalibration, q: QualitySettings) -> None:
     if not f["edge_px"] < q.max_edge_px:
         raise CalibrationFailed("no_edges", "no image edge is near any edge that the lidar sees, or it sees none")
     if not f["edge_margin_px"] >= q.min_edge_margin_px:
-        raise CalibrationFailed("edges_disagree", f"turned, edges lie {-f['edge_margin_px']:.2f} px nearer")
+        found = f"turned one way, edges lie {f['edge_margin_px']:.2f} px farther, asked for {q.min_edge_margin_px:g} px"
+        raise CalibrationFailed("edges_disagree", found)
     if "gain_m" in f and not all(judge_gain(f, q).values()):
         raise CalibrationFailed(
             "not_better",

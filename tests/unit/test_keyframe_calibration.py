@@ -9,8 +9,10 @@ from toy_calibration import T_CAMERA_LIDAR, changed, toy_keyframe
 from streetscan.calibration.keyframe_calibration import (
     CalibrationFailed,
     CalibrationSettings,
+    KeyframeCalibration,
     _judge,
     calibrate_keyframe,
+    choose_place,
     evidence_distance,
 )
 from streetscan.calibration.linear_projection import project_linear
@@ -158,3 +160,44 @@ def test_clouds_of_two_places_do_not_match(toy):
 def test_settings_are_checked():
     with pytest.raises(BadInput, match="choose one of curves, motion, edges"):
         CalibrationSettings(final="best")
+
+
+def at_place(x_m: float, edge_px: float, status: str = "ok") -> KeyframeCalibration:
+    """What came of beginning at a place."""
+    return KeyframeCalibration(status, projection=np.eye(3, 4), T_camera_stamp=transform([x_m, 0, 0]), figures={"edge_px": edge_px})
+
+
+def by_edges(a: KeyframeCalibration, b: KeyframeCalibration) -> bool:
+    return a.figures["edge_px"] < b.figures["edge_px"]
+
+
+def never(a: KeyframeCalibration, b: KeyframeCalibration) -> bool:
+    return False
+
+
+def test_of_the_places_that_pass_the_one_with_the_nearest_edges_is_chosen():
+    tried = [at_place(0.0, 3.0), at_place(0.1, 2.0), at_place(2.0, 4.0, "far_apart")]
+    chosen = choose_place(tried, by_edges)
+    assert chosen is tried[1]
+    assert (chosen.status, chosen.figures["n_places"], chosen.figures["n_rivals"]) == ("ok", 3, 0)
+
+
+def test_a_second_place_that_fits_as_well_makes_it_ambiguous():
+    chosen = choose_place([at_place(0.0, 2.0), at_place(4.0, 2.5)], never)
+    assert (chosen.status, chosen.figures["n_rivals"]) == ("ambiguous", 1)
+    assert chosen.reason == "4.0 m and 0.0 degrees away the clouds and edges fit as well"
+    clear = choose_place([at_place(0.0, 2.0), at_place(4.0, 2.5)], by_edges)
+    assert (clear.status, clear.figures["n_rivals"]) == ("ok", 0)
+
+
+def test_where_no_place_passes_the_first_tells_why():
+    tried = [at_place(0.0, 2.0, "far_apart"), at_place(4.0, 1.0, "uncertain")]
+    assert choose_place(tried, never) is tried[0]
+
+
+def test_equal_posts_at_equal_distances_are_refused():
+    # Nothing but a road and posts, 2.5 m from each other along it: one spacing off, clouds and edges fit as well.
+    toy = toy_keyframe(posts_m=2.5)
+    made = calibrate_keyframe(toy.clouds, SETTINGS)
+    assert made.status == "ambiguous", made.reason
+    assert made.figures["n_rivals"] >= 1

@@ -15,11 +15,11 @@ from streetscan.calibration.quality import QualitySettings
 from streetscan.errors import BadInput
 
 GOOD = {
-    "overlap": 0.3, "margin": 0.2, "n_matched": 5, "median_distance_m": 0.02, "sigma_x_px": 1.0, "edge_margin_px": 1.0, "edge_px": 2.0,
+    "overlap": 0.3, "n_rivals": 0, "n_matched": 5, "median_distance_m": 0.02, "sigma_x_px": 1.0, "edge_margin_px": 1.0, "edge_px": 2.0,
     "edge_before_px": 3.0, "gain_m": 0.03, "gain_std_m": 0.005, "edge_gain_px": 1.0, "edge_gain_std_px": 0.4,
 }  # fmt: skip
 SETTINGS = CalibrationSettings(
-    alignment=AlignmentSettings(min_overlap=0.1, min_margin=0.05),
+    alignment=AlignmentSettings(min_overlap=0.1),
     quality=QualitySettings(min_objects=3, max_distance_m=0.04, max_sigma_px=4.0, min_edge_margin_px=0.5),
 )
 
@@ -35,9 +35,10 @@ def test_what_is_good_passes_every_check():
 @pytest.mark.parametrize(
     ("change", "part"),
     [
-        ({"overlap": 0.05}, "Overlap"), ({"margin": 0.01}, "Lead"), ({"n_matched": 2}, "Matched"), ({"median_distance_m": 0.05}, "Median"),
-        ({"sigma_x_px": 4.5}, "Deviation"), ({"edge_margin_px": 0.4}, "Edges: how much"), ({"gain_m": 0.009}, "Clouds: gain"),
-        ({"gain_m": 0.009, "gain_std_m": 0.0}, "Clouds: gain"), ({"edge_gain_px": -0.9}, "Edges: gain"),
+        ({"overlap": 0.05}, "Overlap"), ({"n_rivals": 1}, "Other places"), ({"n_matched": 2}, "Matched"),
+        ({"median_distance_m": 0.05}, "Median"), ({"sigma_x_px": 4.5}, "Deviation"), ({"edge_margin_px": 0.4}, "Edges: how much"),
+        ({"gain_m": 0.009}, "Clouds: gain"), ({"gain_m": 0.009, "gain_std_m": 0.0}, "Clouds: gain"),
+        ({"edge_gain_px": -0.9}, "Edges: gain"),
     ],
 )  # fmt: skip
 def test_one_that_is_not_fails_its_own_check_alone(change, part):
@@ -50,7 +51,7 @@ def test_a_limit_that_is_met_exactly_passes():
 
 
 def test_what_was_not_reached_is_neither_passed_nor_failed():
-    found = {check.name: check for check in checks_of({"overlap": 0.05, "margin": np.nan}, SETTINGS)}
+    found = {check.name: check for check in checks_of({"overlap": 0.05}, SETTINGS)}
     assert [c.verdict for c in found.values() if c.verdict] == ["fails"]
     assert found["Matched objects"].found == "not reached"
     assert "Edges: distance under this calibration" not in found
