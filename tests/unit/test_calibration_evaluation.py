@@ -78,7 +78,7 @@ def test_without_a_shift_every_alarm_is_false():
 
 
 def test_a_drives_own_history_is_scored():
-    """Exact keyframes of a still lidar: the first after the knock is noticed, and replaces the calibration in force."""
+    """Exact keyframes of a still lidar: the first after the knock is noticed, and with the second, which agrees, the calibration changes."""
     rng, keyframes, transforms = np.random.default_rng(3), [], []
     for k in range(6):
         T, points, normals = (KNOCK if k >= 4 else np.eye(4)) @ T_BEFORE, rng.uniform(-20, 20, (300, 3)), rng.normal(size=(300, 3))
@@ -87,7 +87,7 @@ def test_a_drives_own_history_is_scored():
         transforms.append(score_transform(f"{k:02d}", "ok", T.tolist(), SHIFTED, 1000 * (k + 1)))
     errors, transforms = pd.DataFrame(columns=COLUMNS), pd.DataFrame(transforms, columns=TRANSFORM_COLUMNS)
     values = summarize_errors(errors, transforms, follow_drive(keyframes)).set_index("metric")["value"]
-    assert values[["noticed_after", "recalibrated_after", "false_alarms"]].tolist() == [1, 1, 0]
+    assert values[["noticed_after", "recalibrated_after", "false_alarms"]].tolist() == [1, 2, 0]
     assert values["rotation"] == pytest.approx(0, abs=1e-5)
 
 
