@@ -78,7 +78,7 @@ def test_without_a_shift_every_alarm_is_false():
 
 
 def test_a_drives_own_history_is_scored():
-    """Exact keyframes of a still lidar: the first after the knock is noticed, and with the second, which agrees, the calibration changes."""
+    """Exact keyframes of a still lidar: the first after the knock is noticed; with the second, which agrees, the calibration changes."""
     rng, keyframes, transforms = np.random.default_rng(3), [], []
     for k in range(6):
         T, points, normals = (KNOCK if k >= 4 else np.eye(4)) @ T_BEFORE, rng.uniform(-20, 20, (300, 3)), rng.normal(size=(300, 3))
