@@ -38,6 +38,12 @@ def test_settings_are_those_of_the_config_and_name_the_city_learned_from(kind, c
     check_equal_settings(found, replace(wanted, generator_version=found.generator_version), files(kind)[1])
 
 
+@pytest.mark.xfail(strict=True, reason="they learned from version 1 of the city, whose stops had no shelters; to be trained again")
+@pytest.mark.parametrize(("kind", "cls"), [("image", CitySettings), ("lidar", PillarSettings)])
+def test_they_learned_from_the_city_as_it_is(kind, cls):
+    assert load_settings(cls, files(kind)[1]).generator_version == GENERATOR_VERSION
+
+
 @pytest.mark.parametrize(("kind", "most_bytes"), [("image", 4_000_000), ("lidar", 2_000_000)])
 def test_weights_are_small(kind, most_bytes):
     assert Path(files(kind)[0]).stat().st_size < most_bytes
