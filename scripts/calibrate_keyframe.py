@@ -30,13 +30,14 @@ def main(
         keyframe: its number.
         settings: keys of CalibrationSettings.
     """
+    checked = build(CalibrationSettings, settings, "calibrate_keyframe.settings")
     chosen, model = read_keyframes(keyframes_path)[keyframe], pd.read_csv(model_summary_path, keep_default_na=False).iloc[0]
     made = KeyframeCalibration(model.status, model.reason)
     with atomic_folder(pictures_folder) as pictures:
         if model.status == "ok":
             clouds = read_clouds(drive_path, chosen, model_folder, read_pose_table(poses_path), dynamic_folder)
-            made = calibrate_keyframe(clouds, build(CalibrationSettings, settings, "calibrate_keyframe.settings"))
-            write_pictures(pictures, made, clouds)
+            made = calibrate_keyframe(clouds, checked)
+            write_pictures(pictures, made, clouds, checked.objects)
         write_calibration(calibration_path, made, chosen, int(model.reference), find_camera(drive_path))
         save_npz(evidence_path, evidence=made.evidence)
         save_tables({summary_path: summarize(made, keyframe)})

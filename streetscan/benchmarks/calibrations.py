@@ -29,9 +29,10 @@ _PICTURES = {
 _CALIBRATION_PICTURES = {
     "overlay": "Projected", "overlay_before": "Projected, by objects alone",
     "overlay_raw": "Projected, moving things left in", "overlay_curves": "Projected, after the curves", "matched": "Matched objects",
-    "aligned": "Aligned", "aligned_objects": "Aligned by objects",
-    "lidar_objects": "Objects of the lidar", "sfm_objects": "Objects of the images", "lidar_shapes": "Shapes of the lidar",
-    "sfm_shapes": "Shapes of the images", "curves": "Control curves",
+    "aligned": "Aligned", "aligned_objects": "Aligned by objects", "aligned_raw": "Aligned by objects, moving things left in",
+    "lidar_objects": "Objects of the lidar", "sfm_objects": "Objects of the images", "lidar_pillars": "Pillars of the lidar",
+    "sfm_pillars": "Pillars of the images", "lidar_shapes": "Shapes of the lidar", "sfm_shapes": "Shapes of the images",
+    "curves": "Control curves",
 }  # fmt: skip
 # Stage to row of Table 4.2, which is of the slow set.
 _STEPS = {

@@ -1,5 +1,6 @@
 """Pictures of a calibrated keyframe as the thesis shows them: Figs. 4.5-4.9, 4.11 and 4.13."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -9,7 +10,7 @@ from scipy.spatial import cKDTree
 from streetscan.benchmarks.rendering import View, render_cloud
 from streetscan.calibration.keyframe_calibration import KeyframeCalibration, KeyframeClouds
 from streetscan.calibration.linear_projection import project_linear
-from streetscan.calibration.objects import FLAT, LINEAR, SCATTERED, UNSHAPED, CloudObjects
+from streetscan.calibration.objects import FLAT, LINEAR, SCATTERED, UNSHAPED, CloudObjects, ObjectSettings, find_objects
 from streetscan.geometry import apply, invert
 from streetscan.registration.frame_pictures import write_picture
 
@@ -26,27 +27,33 @@ _OVERLAYS = {"objects_raw": "overlay_raw", "objects": "overlay_before", "curves"
 _MATCHED_M = 0.3
 
 
-def write_pictures(folder: Path, made: KeyframeCalibration, clouds: KeyframeClouds) -> None:
-    """Write what was made of a keyframe into an existing folder.
+def write_pictures(folder: Path, made: KeyframeCalibration, clouds: KeyframeClouds, objects: ObjectSettings) -> None:
+    """Write what was made of a keyframe into an existing folder; `objects` is what its objects were found with.
 
-    `lidar_objects.png`, `sfm_objects.png` (Fig. 4.5e), `lidar_shapes.png`, `sfm_shapes.png` (Fig. 4.5c), `aligned_objects.png`,
-    `aligned.png` (Figs. 4.6, 4.8: lidar orange, camera's cloud grey), `curves.png` (Fig. 4.9), `overlay.png` (Fig. 4.11: points by
-    distance, objects blue) and of earlier stages `overlay_before.png` (the alignment by objects), `overlay_raw.png` (the same with moving
-    things left in, as in Fig. 4.6d) and `overlay_curves.png` (after T*, Fig. 4.8); `matched.png` (Figs. 4.7 and 4.13: the matched objects
-    of both clouds from above, a colour each, the camera's lighter).
+    `lidar_objects.png`, `sfm_objects.png` (Fig. 4.5e), `lidar_pillars.png`, `sfm_pillars.png` (Fig. 4.5d), `lidar_shapes.png`,
+    `sfm_shapes.png` (Fig. 4.5c), `aligned_raw.png` (Fig. 4.6d, by objects with moving things left in), `aligned_objects.png` (Fig. 4.6e),
+    `aligned.png` (Fig. 4.8: lidar orange, camera's cloud grey), `curves.png` (Fig. 4.9), `overlay.png` (Fig. 4.11: points by
+    distance, objects blue) and of earlier stages `overlay_raw.png`, `overlay_before.png` (by objects, with and without moving things)
+    and `overlay_curves.png` (after T*, Fig. 4.8); `matched.png` (Figs. 4.7 and 4.13: the matched objects of both clouds from above, a
+    colour each, the camera's lighter).
     """
     pictures = {}
     for name in ("lidar", "sfm"):
         if (cloud := getattr(made, name)) is not None:
-            pictures |= {f"{name}_objects": _draw_objects(cloud), f"{name}_shapes": _draw_shapes(cloud)}
+            # Its points are level already.
+            pillars = find_objects(cloud.points, np.eye(4), replace(objects, is_split=False))
+            pictures |= {f"{name}_objects": _draw_objects(cloud), f"{name}_pillars": _draw_objects(pillars)}
+            pictures[f"{name}_shapes"] = _draw_shapes(cloud)
+    if made.raw is not None:
+        pictures["aligned_raw"] = _draw_aligned(*made.raw)
     if made.alignment is not None:
-        pictures["aligned_objects"] = _draw_aligned(made, made.alignment.T_sfm_lidar)
+        pictures["aligned_objects"] = _draw_aligned(made.lidar, made.sfm, made.alignment.T_sfm_lidar)
     for stage, name in _OVERLAYS.items():
         if stage in made.stages:
             pictures[name] = _overlay(made, clouds, made.stages[stage])
     if made.T_camera_stamp is not None:
         T_sfm_stamp = invert(clouds.view.T_camera_sfm) @ made.T_camera_stamp
-        pictures["aligned"] = _draw_aligned(made, T_sfm_stamp)
+        pictures["aligned"] = _draw_aligned(made.lidar, made.sfm, T_sfm_stamp)
         if made.control is not None and len(made.control.objects):
             pictures["matched"] = _draw_matched(made, T_sfm_stamp)
     if made.projection is not None:
@@ -76,9 +83,8 @@ def _draw_shapes(cloud: CloudObjects) -> np.ndarray:
     return render_cloud((cloud.voxels + 0.5) * voxel_m, _SHAPE_COLOURS[cloud.voxel_shapes], _BEHIND, voxel_m, background=(250, 250, 250))
 
 
-def _draw_aligned(made: KeyframeCalibration, T_sfm_lidar: np.ndarray) -> np.ndarray:
+def _draw_aligned(lidar: CloudObjects, sfm: CloudObjects, T_sfm_lidar: np.ndarray) -> np.ndarray:
     """What stands in both clouds: lidar orange, camera's cloud grey."""
-    lidar, sfm = made.lidar, made.sfm
     own = lidar.points[(lidar.heights_m > 0.3) & (lidar.heights_m < 4.0)]
     theirs = sfm.points[(sfm.heights_m > 0.3) & (sfm.heights_m < 4.0)]
     moved = apply(sfm.T_level_cloud @ T_sfm_lidar @ invert(lidar.T_level_cloud), own)

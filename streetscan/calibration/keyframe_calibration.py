@@ -147,6 +147,7 @@ class KeyframeCalibration:
         evidence: (P, 9) points of matched objects freed of motion (frame `lidar`), the camera's nearest points and their normals (frame
             of the camera at the reference image).
         lidar, sfm: objects of the two clouds.
+        raw: the same with all that moves left in, and the T_sfm_lidar (4, 4) found with them; None where there is nothing to compare.
         alignment, control, curves: of the stages.
         seconds: wall time of each stage.
     """
@@ -163,6 +164,7 @@ class KeyframeCalibration:
     evidence: np.ndarray = field(default_factory=lambda: np.empty((0, 9)))
     lidar: CloudObjects | None = None
     sfm: CloudObjects | None = None
+    raw: tuple[CloudObjects, CloudObjects, np.ndarray] | None = None
     alignment: Alignment | None = None
     control: ControlPoints | None = None
     curves: ControlCurves | None = None
@@ -437,6 +439,7 @@ def _align_raw(c: KeyframeClouds, s: CalibrationSettings, a: AlignmentSettings, 
     target = prepare_target(c.points_sfm, c.cameras_sfm, c.view.K[0, 0], a.icp)
     places = find_places(lidar, sfm, target, c.view, a, _ways(c, s) is not None)
     if places:
+        made.raw = lidar, sfm, places[0].T_sfm_lidar
         made.stages["objects_raw"] = linear_of(c.view.T_camera_sfm @ places[0].T_sfm_lidar, c.view.K)
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import yaml
-from toy_calibration import T_CAMERA_LIDAR, calibrate_toy
+from toy_calibration import T_CAMERA_LIDAR, calibrate_toy, toy_keyframe
 
 from streetscan.errors import BadInput
 
@@ -24,8 +24,16 @@ def test_the_pictures_are_drawn(calibrated):
     names = {path.stem for path in calibrated["pictures_folder"].glob("*.png")}
     assert names == {
         "lidar_objects", "sfm_objects", "lidar_shapes", "sfm_shapes", "aligned_objects", "aligned", "overlay", "overlay_before", "curves",
-        "overlay_curves", "matched",
+        "overlay_curves", "matched", "lidar_pillars", "sfm_pillars",
     }  # fmt: skip
+
+
+def test_with_moving_things_it_is_drawn_what_they_do_to_the_alignment(tmp_path, toy_inputs):
+    is_dynamic = np.arange(len(toy_keyframe().clouds.points_lidar)) < 5
+    np.savez(tmp_path / "00.npz", is_dynamic=is_dynamic)
+    calibrated = calibrate_toy(tmp_path, toy_inputs, dynamic_folder=tmp_path)
+    names = {path.stem for path in calibrated["pictures_folder"].glob("*.png")}
+    assert {"overlay_raw", "aligned_raw"} <= names
 
 
 def test_a_keyframe_that_was_not_reconstructed_keeps_its_status(tmp_path, toy_inputs):
