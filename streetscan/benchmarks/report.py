@@ -310,15 +310,19 @@ def realism_sections(
     return sections
 
 
+# F in % on Oakland's test files of the network of the generator's version 1, as it was: later versions are not to fall below it.
+_OAKLAND_BEFORE = {"ground": 98.5, "facade": 52.8, "vegetation": 84.1, "vehicle": 11.0}
+
+
 def yardsticks(scores: pd.DataFrame, simulated: Sequence[str]) -> list[dict[str, str]]:
     """The fixed yardsticks a simulated city's difficulty is held against, a line each.
 
     OG-CNN has an F of 65 to 85 and finds fewer than 60 % of the phantoms (the thesis: 75.5 and 34.7), LightGBM on eigen-features stays
-    5 points below C²CNN, and the city's network, not fine-tuned, is scored on Oakland.
+    5 points below C²CNN, and the city's network, not fine-tuned, does no worse on Oakland than that of version 1.
 
     Args:
         scores: the tidy scores.
-        simulated: the simulated data sets of the run.
+        simulated: the simulated data sets of the run; without any, the lines of Oakland stand where the run scored it.
     Returns:
         `dataset`, `name`, `asked`, `found` and `verdict` (holds, fails, or empty where nothing is asked or known).
     """
@@ -340,9 +344,12 @@ def yardsticks(scores: pd.DataFrame, simulated: Sequence[str]) -> list[dict[str,
         lines.append(line(d, "OG-CNN, F overall", "65 to 85", f["og_cnn"], 65 <= f["og_cnn"] <= 85))
         lines.append(line(d, "OG-CNN, recall of phantoms", "below 60", recall, recall < 60))
         lines.append(line(d, "C²CNN's F above LightGBM's", "5 or more", ahead, ahead >= 5))
-    if simulated:
-        values = {row: ours("nagy_2_4", "oakland", "c2cnn_city", row, "f") for row in ("ground", "facade", "vegetation", "vehicle")}
-        lines += [line("oakland", f"The city's C²CNN as it is, F of {title(row)}", "never falls", v, None) for row, v in values.items()]
+    on_oakland = {row: ours("nagy_2_4", "oakland", "c2cnn_city", row, "f") for row in _OAKLAND_BEFORE}
+    if simulated or not all(map(math.isnan, on_oakland.values())):
+        for row, before in _OAKLAND_BEFORE.items():
+            found = on_oakland[row]
+            name, asked = f"The city's C²CNN as it is, F of {title(row)}", f"{before:g} or more (version 1)"
+            lines.append(line("oakland", name, asked, found, found >= before))
     return lines
 
 

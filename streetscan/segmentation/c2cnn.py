@@ -19,9 +19,10 @@ from streetscan.classes import N_CLASSES, NAMES
 from streetscan.errors import BadInput
 from streetscan.io.weights import check_equal_settings, load_settings, load_weights, save_settings, save_weights
 from streetscan.segmentation.density import mean_counts_around
+from streetscan.segmentation.pillars import filled_shares
 from streetscan.voxels import VoxelGrid, find_sorted, pack_keys
 
-CHANNELS = ("count", "height", "occupancy", "spread")
+CHANNELS = ("count", "height", "occupancy", "spread", "pillar")
 COUNT_SCALES = ("log", "raw", "local")
 # Points a voxel is said to hold where it holds as many as the voxels around it, in the scale `local`.
 _TYPICAL_COUNT = 10.0
@@ -48,9 +49,10 @@ class Settings:
         k: voxels an axis of the cube, odd.
         is_padded: whether convolutions see zeros beyond their input, so that they keep its size. Cubes then share nothing, and each is
             evaluated by itself.
-        channels: input channels, of `count` (points), `height` (above ground), `occupancy` (1) and `spread` (seconds from the first to the
-            last point: what moves is met once, what stands by every scanner and on every drive; not in the thesis). OG-CNN is
-            occupancy alone.
+        channels: input channels, of `count` (points), `height` (above ground), `occupancy` (1) and two that are not in the thesis:
+            `spread` (seconds from the first to the last point: what moves is met once, what stands by every scanner and on every
+            drive) and `pillar` (how much of what is above and below is filled, up to 12 m: a wall goes on where a bus ends). OG-CNN
+            is occupancy alone.
         count_scale: `log` enters ln(1 + count), `raw` the count itself (the thesis' wording), `local` ln(1 + 10 count / mean count of the
             voxels in the square of columns below and above the cube), which no scanner and no speed changes.
         height_scale_m: the height enters divided by this, cut to [-1, 3].
@@ -194,12 +196,18 @@ def grid_channels(grid: VoxelGrid, settings: Settings) -> np.ndarray:
     """The network's input (V, C) float32 at all voxels of a map; see `input_channels`."""
     is_local = settings.count_scale == "local"
     around = mean_counts_around(grid.keys, grid.counts, settings.radius) if is_local else None
-    return input_channels(grid.counts, grid.height_m, grid.spread_s, settings, around)
+    return input_channels(grid.counts, grid.height_m, grid.spread_s, settings, around, grid_pillars(grid, settings))
+
+
+def grid_pillars(grid: VoxelGrid, settings: Settings) -> np.ndarray | None:
+    """The channel `pillar` (V,) at all voxels of a map, or None for a network without it."""
+    return filled_shares(grid.keys, grid.height_m, grid.size_m) if "pillar" in settings.channels else None
 
 
 def input_channels(
-    counts: np.ndarray, height_m: np.ndarray, spread_s: np.ndarray, settings: Settings, around: np.ndarray | None = None
-) -> np.ndarray:
+    counts: np.ndarray, height_m: np.ndarray, spread_s: np.ndarray, settings: Settings, around: np.ndarray | None = None,
+    pillars: np.ndarray | None = None,
+) -> np.ndarray:  # fmt: skip
     """The network's input at occupied voxels; an empty voxel is 0 in every channel.
 
     Args:
@@ -208,6 +216,7 @@ def input_channels(
         spread_s: (V,) float32 seconds from the first to the last point.
         settings: channels and their scaling.
         around: (V,) mean number of points of the voxels around each; only counts of scale `local` need it.
+        pillars: (V,) of `grid_pillars`; only the channel `pillar` needs it.
     Returns:
         (V, C) float32.
     Raises:
@@ -226,6 +235,8 @@ def input_channels(
             if not np.isfinite(spread_s).all():
                 raise BadInput("the map", "its points have no times", "use a model without the channel spread")
             columns.append(np.log1p(spread_s / _SPREAD_SCALE_S))
+        elif channel == "pillar":
+            columns.append(pillars)
         else:
             columns.append(np.ones(len(counts)))
     return np.stack(columns, axis=1).astype(np.float32)

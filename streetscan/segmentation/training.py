@@ -26,7 +26,7 @@ from streetscan.classes import N_CLASSES
 from streetscan.errors import BadInput
 from streetscan.io.arrays import load_npz
 from streetscan.io.atomic import atomic_path
-from streetscan.segmentation.c2cnn import C2CNN, Settings, check_same_settings, grid_channels, input_channels, turn_keys
+from streetscan.segmentation.c2cnn import C2CNN, Settings, check_same_settings, grid_channels, grid_pillars, input_channels, turn_keys
 from streetscan.segmentation.density import mean_counts_around
 from streetscan.segmentation.sparse import open_workers, sparse_logits
 from streetscan.voxels import VoxelGrid, find_sorted, pack_keys
@@ -154,6 +154,7 @@ class Part:
             raise BadInput(where, "names voxels the grid does not have", "run extract_samples again on this grid")
         self.grid, self.samples, self.settings, self.patch_voxels = grid, samples, settings, patch_voxels
         self.channels, self._shares, self._around = grid_channels(grid, settings), np.ones(1), None
+        self._pillars = grid_pillars(grid, settings)
         # Voxels sorted by patch: the neighbourhood of a patch is a few slices.
         packed = pack_keys(np.floor_divide(grid.keys, patch_voxels))
         self._order = np.argsort(packed, kind="stable")
@@ -227,7 +228,10 @@ class Part:
             is_wanted = find_sorted(np.unique(pack_keys(wanted)), pack_keys(coords)) >= 0
             counts = np.maximum(counts, is_wanted)
             around = None if self._around is None else self._around[drawn, rows]
-            channels = input_channels(counts, self.grid.height_m[rows], self.grid.spread_s[rows], self.settings, around)[counts > 0]
+            # What a pillar is filled with does not change with the points: a slab of it holds many.
+            pillars = None if self._pillars is None else self._pillars[rows]
+            channels = input_channels(counts, self.grid.height_m[rows], self.grid.spread_s[rows], self.settings, around, pillars)
+            channels = channels[counts > 0]
             coords = coords[counts > 0]
         return channels, coords, wanted, self.samples.labels[picked].astype(np.int64)
 

@@ -15,7 +15,7 @@ from streetscan.clouds import PointCloud
 from streetscan.simulation.layout import build_street, count_blocks
 from streetscan.simulation.raycasting import SceneCaster
 from streetscan.simulation.receiver import Receiver, measure
-from streetscan.simulation.recording import BLOCK_SEED, Errors, draw_bursts, plan_passes, seed_of_recording
+from streetscan.simulation.recording import BLOCK_SEED, Errors, caster_of_drive, draw_bursts, plan_passes, seed_of_recording
 from streetscan.simulation.sensors import mobile_mapper
 from streetscan.voxels import find_sorted, pack_keys
 
@@ -120,7 +120,7 @@ def probe_street(split: str, seed: int, length_m: float, settings: dict, n_pulse
         scene = build_street(split=split, seed=seed, n_rounds=settings["n_rounds"], block=b, **street)
         passes = plan_passes(scene, Errors(**settings["errors"]), of_recording + BLOCK_SEED * b, settings["n_rounds"])
         tracks += [p.truth.positions[::20] for p in passes]
-        caster = SceneCaster(scene, passes[0].truth.start_s, passes[0].truth.end_s)
+        caster = caster_of_drive(scene, passes[0])
         for number, scanner in enumerate(mobile_mapper(**settings["scanners"])):
             rng = np.random.default_rng([of_recording, 8, b, number])
             pulses = draw_bursts(passes[0], scanner, max(n_pulses // n_blocks // 2 // _BURST, 1), _BURST, rng)

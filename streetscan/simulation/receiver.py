@@ -11,6 +11,7 @@ from typing import Literal
 
 import numpy as np
 
+from streetscan.errors import BadInput
 from streetscan.simulation.appearance import MATERIALS
 from streetscan.simulation.raycasting import SceneCaster
 
@@ -67,6 +68,13 @@ class Receiver:
     wavelength_nm: int = 1550
     keeps: Literal["first", "strongest"] = "first"
     dropout: float = 0.0
+
+    def __post_init__(self):
+        if not self.min_range_m < self.max_range_m:
+            found = f"{self.min_range_m:g} with max_range_m {self.max_range_m:g}"
+            raise BadInput("simulation.receiver.min_range_m", found, "let min_range_m be below max_range_m")
+        if not self.resolution_m > 0:
+            raise BadInput("simulation.receiver.resolution_m", f"{self.resolution_m:g} is not above 0", "give metres, such as 0.6")
 
 
 @dataclass

@@ -88,6 +88,11 @@ class Errors:
     attitude_deg: float = 0.01
     boresight_deg: float = 0.01
 
+    def __post_init__(self):
+        least, most = self.pass_offset_m
+        if not 0 <= least <= most:
+            raise BadInput("simulation.errors.pass_offset_m", f"[{least:g}, {most:g}]", "give the least offset in m first, then the most")
+
 
 @dataclass
 class Pass:
@@ -198,7 +203,6 @@ def record_map(
     errors: Errors,
     seed: int,
     n_rounds: int = 1,
-    part: tuple[int, int] = (0, 1),
     chunk_pulses: int = _CHUNK_PULSES,
 ) -> Iterator[Record]:
     """The map of a mobile mapper that drives every road of every scene, in pieces of some 100 000 points.
@@ -210,7 +214,6 @@ def record_map(
         errors: of the navigation.
         seed: of everything random. Each piece draws from its own generator: pieces do not depend on one another.
         n_rounds: drives per direction.
-        part: (k, n) yields the k-th of n spans of each scene's pieces; all parts of a scene after one another are the whole.
         chunk_pulses: pulses of one scanner worked on together; the random draws depend on it, memory grows with it.
     Yields:
         records in order of time.
@@ -220,20 +223,19 @@ def record_map(
     clock_s = 0.0
     for i, scene in enumerate(scenes):
         passes = plan_passes(scene, errors, seed + BLOCK_SEED * i, n_rounds)
-        chunks = [(p, c) for p in passes for c in range(int(np.ceil((p.truth.end_s - p.truth.start_s) / chunk_s)))]
-        low, high = (len(chunks) * (part[0] + j) // part[1] for j in (0, 1))
         for drive in passes:
-            wanted = [c for p, c in chunks[low:high] if p is drive]
-            if not wanted:
-                continue
-            caster = SceneCaster(without_collisions(scene, drive.truth), drive.truth.start_s, drive.truth.end_s)
-            for c in wanted:
-                of_block = seed + BLOCK_SEED * i
+            caster, of_block = caster_of_drive(scene, drive), seed + BLOCK_SEED * i
+            for c in range(int(np.ceil((drive.truth.end_s - drive.truth.start_s) / chunk_s))):
                 for record in _record_chunk(caster, scene.crs, drive, c, chunk_s, scanners, mounts, receiver, cameras, of_block):
                     record.cloud.fields["time_s"] += clock_s
                     yield record
         # Each scene has a clock of its own; the map has one.
         clock_s = np.ceil(clock_s + max((p.truth.end_s for p in passes), default=0.0)) + 60.0
+
+
+def caster_of_drive(scene: Scene, drive: Pass) -> SceneCaster:
+    """What a drive's pulses are cast at: the scene without whoever the vehicle would run into."""
+    return SceneCaster(without_collisions(scene, drive.truth), drive.truth.start_s, drive.truth.end_s)
 
 
 def _record_chunk(caster, crs, drive: Pass, chunk: int, chunk_s: float, scanners, mounts, receiver, cameras, seed: int) -> Iterator[Record]:
@@ -292,7 +294,6 @@ def record_street(
     cameras: Cameras,
     errors: Errors,
     n_rounds: int = 1,
-    part: tuple[int, int] = (0, 1),
 ) -> Iterator[Record]:
     """The map of the simulated city's street of one split, built and recorded block by block in constant memory.
 
@@ -300,7 +301,7 @@ def record_street(
         split: train, validation, test or all.
         seed: of the city and of the recording.
         street: settings of `streetscan.simulation.layout.build_street`: `length_m` and what differs from its defaults.
-        scanners, receiver, cameras, errors, n_rounds, part: see `record_map`.
+        scanners, receiver, cameras, errors, n_rounds: see `record_map`.
     Yields:
         records in order of time.
     Raises:
@@ -308,7 +309,7 @@ def record_street(
     """
     blocks = range(count_blocks(street["length_m"]))
     scenes = (build_street(split=split, seed=seed, n_rounds=n_rounds, block=b, **street) for b in blocks)
-    return record_map(scenes, scanners, receiver, cameras, errors, seed_of_recording(split, seed), n_rounds, part)
+    return record_map(scenes, scanners, receiver, cameras, errors, seed_of_recording(split, seed), n_rounds)
 
 
 def replay_pass(split: str, seed: int, street: dict, block: int) -> tuple[Scene, Trajectory]:
@@ -432,7 +433,7 @@ def write_map(records: Iterable[Record], map_path: str | Path, labels_path: str 
         BadInput: the recording holds no point. No file is left.
     """
     n_points, n_logged, started = 0, 0, time.perf_counter()
-    records = iter(records)
+    records = (record for record in records if len(record.labels))
     first = next(records, None)
     if first is None:
         raise BadInput(map_path, "the scanners hit nothing", "check the scene's roads and the receiver's ranges")

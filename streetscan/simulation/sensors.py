@@ -10,6 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from streetscan.errors import BadInput
+
 
 @dataclass(frozen=True)
 class ProfileScanner:
@@ -85,6 +87,11 @@ class StaticScanner:
     low_deg: float = -40.0
     high_deg: float = 60.0
     pulses_per_s: float = 122_000.0
+
+    def __post_init__(self):
+        if not -90 <= self.low_deg < self.high_deg <= 90:
+            found = f"{self.low_deg:g} with high_deg {self.high_deg:g}"
+            raise BadInput("simulation.static_scanner.low_deg", found, "let -90 <= low_deg < high_deg <= 90")
 
     @property
     def n_rows(self) -> int:

@@ -8,13 +8,16 @@ import pytest
 from streetscan.classes import CAR, FACADE, GROUND, PHANTOM
 from streetscan.errors import BadInput
 from streetscan.io.las import read_las
+from streetscan.simulation import realism
 from streetscan.simulation.colouring import Cameras
 from streetscan.simulation.layout import build_street
 from streetscan.simulation.meshes import Surface, box, quads
+from streetscan.simulation.raycasting import SceneCaster
 from streetscan.simulation.receiver import Receiver
 from streetscan.simulation.recording import (
     Errors,
     Record,
+    caster_of_drive,
     drive_road,
     plan_passes,
     record_map,
@@ -202,17 +205,63 @@ def test_seeds_repeat_and_differ():
     assert len(runs[2].labels) != len(runs[0].labels) or not np.array_equal(runs[0].cloud.points, runs[2].cloud.points)
 
 
-def test_parts_after_one_another_are_the_whole():
-    scene = street([passing_car(3.0, -5.0)])
+def test_a_block_has_the_same_map_whatever_was_recorded_before_it():
+    first, other, second = street([passing_car(3.0, -5.0)]), street(length_m=50.0), street([passing_car(-4.0, 20.0)], offset=(40, 0, 0))
     scanners = mobile_mapper(50, 20_000)
-    whole = record(scene, scanners, Receiver(), Errors(), chunk_pulses=10_000)
-    parts = [list(record_map([scene], scanners, Receiver(), Cameras(), Errors(), 1, part=(k, 3), chunk_pulses=10_000)) for k in range(3)]
-    assert all(len(p) > 0 for p in parts)
-    joined = gather([r for p in parts for r in p])
-    np.testing.assert_array_equal(joined.cloud.points, whole.cloud.points)
-    for name in whole.cloud.fields:
-        np.testing.assert_array_equal(joined.cloud.fields[name], whole.cloud.fields[name])
-    np.testing.assert_array_equal(joined.labels, whole.labels)
+    whole = list(record_map([first, second], scanners, Receiver(), Cameras(), Errors(), 1))
+    n_first = len(list(record_map([first], scanners, Receiver(), Cameras(), Errors(), 1)))
+    beside = list(record_map([other, second], scanners, Receiver(), Cameras(), Errors(), 1))
+    n_other = len(list(record_map([other], scanners, Receiver(), Cameras(), Errors(), 1)))
+    alone, again = gather(whole[n_first:]), gather(beside[n_other:])
+    np.testing.assert_array_equal(alone.cloud.points, again.cloud.points)
+    np.testing.assert_array_equal(alone.cloud.fields["rgb"], again.cloud.fields["rgb"])
+    np.testing.assert_array_equal(alone.labels, again.labels)
+    later = np.diff([part.cloud.fields["time_s"].min() for part in (gather(whole[:n_first]), alone)])
+    assert later > 60
+
+
+def test_whoever_the_vehicle_would_run_into_is_not_there():
+    drive = plan_passes(street(), NO_ERRORS, 1)[0]
+    towards = drive.truth.positions[len(drive.truth.positions) // 2]
+    blocking = Actor(car_mesh(), np.array([0.0, 60.0]), np.array([towards, towards]), np.zeros(2))
+    scene = street([blocking])
+    eye, ahead = (towards + [-10, 0, 1.0])[None].astype(np.float32), np.array([[1.0, 0, 0]], np.float32)
+    times = np.array([drive.truth.start_s + 1.0])
+    assert SceneCaster(scene, drive.truth.start_s, drive.truth.end_s).cast(eye, ahead, times).distances_m[0] < 11
+    assert not caster_of_drive(scene, drive).cast(eye, ahead, times).distances_m[0] < 11
+
+
+def test_the_return_rate_is_of_the_world_that_is_scanned(monkeypatch):
+    """A car in the vehicle's way is taken out of the recording; no pulse may meet it here either."""
+    against = np.array([[35.0, -1.75, 0], [-95.0, -1.75, 0]])
+    oncoming = Actor(car_mesh(), np.array([0.0, 13.0]), against, np.zeros(2))
+    monkeypatch.setattr(realism, "build_street", lambda **_: street([oncoming]))
+    settings = {"street": {}, "scanners": {"lines_per_s": 50, "pulses_per_s": 20_000}, "receiver": {}, "errors": {}, "n_rounds": 1}
+    _, table = realism.probe_street("test", 1, 120.0, settings, 100_000)
+    assert {"ground", "facade"} <= set(table["group"])
+    assert "phantom" not in set(table["group"])
+
+
+@pytest.mark.parametrize(
+    ("make", "key"),
+    [
+        (lambda: Errors(pass_offset_m=(0.1, 0.02)), "pass_offset_m"),
+        (lambda: Receiver(min_range_m=300.0), "min_range_m"),
+        (lambda: Receiver(resolution_m=0.0), "resolution_m"),
+        (lambda: StaticScanner(low_deg=30.0, high_deg=-30.0), "low_deg"),
+    ],
+)
+def test_settings_that_contradict_each_other_are_named(make, key):
+    with pytest.raises(BadInput, match=key):
+        make()
+
+
+def test_a_scanner_that_hears_nothing_leaves_no_file(tmp_path):
+    deaf = Receiver(min_range_m=150.0, max_range_m=151.0)
+    records = record_static(street(), np.array([[5.0, 0, 0]]), StaticScanner(step_deg=5.0), deaf, 1)
+    with pytest.raises(BadInput, match="hit nothing"):
+        write_map(records, *(tmp_path / name for name in ("map.laz", "labels.npy", "instances.npy")))
+    assert not list(tmp_path.iterdir())
 
 
 def test_times_are_each_pulses_own():

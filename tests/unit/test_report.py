@@ -240,8 +240,12 @@ def test_yardsticks_say_what_holds_what_fails_and_what_is_not_known():
     row = make_score("nagy_2_4", "vehicle", "c2cnn_city", "f", 22.3, "%", 50, "oakland", "c2cnn_city", 1)
     scores = pd.concat([scores, pd.DataFrame([row])], ignore_index=True)
     found = [line for line in report.yardsticks(scores, ["city"]) if "Vehicle" in line["name"]]
-    assert found[0]["found"] == "22.3"
-    assert report.yardsticks(scores, []) == []
+    assert (found[0]["found"], found[0]["verdict"]) == ("22.3", "holds")
+    row = make_score("nagy_2_4", "facade", "c2cnn_city", "f", 49.6, "%", 50, "oakland", "c2cnn_city", 1)
+    # A run of Oakland alone is held against them, too; one that has neither is not.
+    of_oakland = {line["name"].split()[-1]: line["verdict"] for line in report.yardsticks(pd.DataFrame([row]), [])}
+    assert of_oakland == {"Ground": "", "Facade": "fails", "Vegetation": "", "Vehicle": ""}
+    assert report.yardsticks(scores[scores["dataset"] != "oakland"], []) == []
 
 
 def test_the_yardsticks_stand_in_the_page_with_the_generators_version(scores, sections):
