@@ -34,6 +34,7 @@ _LARGE_BYTES = 100_000
 VIEW_KINDS = {"predicted": "Predicted", "true": "True", "errors": "Errors"}
 MEASURED_KINDS = {"intensity": "Intensity", "rgb": "Colour"}
 VIEW_SIDES = {"street": "From eye level", "top": "From above"}
+SCAN_SIDES = VIEW_SIDES | {"houses": "Towards the houses"}
 # The tables a map is compared in, each with the column of the thesis' own method, which stands in for methods it lacks.
 _COMPARED = {"nagy_2_3": "c2cnn f", "nagy_2_4": "c2cnn_finetuned f"}
 # Differences below this print as equal.
@@ -423,15 +424,17 @@ def _scan_galleries(views: Path, dataset: str) -> list[Gallery]:
     """The scan itself, the same for every model: true classes, intensity, colour."""
     kinds = {"true": ("true_{}.png", "Class", "True classes")}
     kinds |= {kind: (f"{kind}_{{}}.jpg", name, name) for kind, name in MEASURED_KINDS.items()}
-    if not any((views / file.format(side)).is_file() for side in VIEW_SIDES for file, *_ in list(kinds.values())[1:]):
+    if not any((views / file.format(side)).is_file() for side in SCAN_SIDES for file, *_ in list(kinds.values())[1:]):
         return []
-    return _pictures_of(views, f"scan-{dataset}", f"the scan of {dataset}", kinds)
+    return _pictures_of(views, f"scan-{dataset}", f"the scan of {dataset}", kinds, SCAN_SIDES)
 
 
-def _pictures_of(views: Path, anchor: str, who: str, kinds: Mapping[str, tuple[str, str, str]]) -> list[Gallery]:
+def _pictures_of(
+    views: Path, anchor: str, who: str, kinds: Mapping[str, tuple[str, str, str]], sides: Mapping[str, str] = VIEW_SIDES
+) -> list[Gallery]:
     """A gallery per side; `kinds` gives file pattern, name of the switch and what is seen."""
     made = []
-    for side, place in VIEW_SIDES.items():
+    for side, place in sides.items():
         files = [(name, seen, views / file.format(side)) for file, name, seen in kinds.values()]
         shown = [(name, embed(path, f"{seen} of {who}, {place.lower()}")) for name, seen, path in files if path.is_file()]
         if shown:

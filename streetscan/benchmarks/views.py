@@ -3,7 +3,7 @@
 Source: thesis Figs. 2.8-2.12 show such views beside each other.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -14,7 +14,7 @@ from streetscan.benchmarks import figures
 from streetscan.benchmarks.failures import describe_failures, draw_failures, find_failures
 from streetscan.benchmarks.rendering import View, grey_levels, render_cloud, render_top
 from streetscan.benchmarks.volumes import draw_volumes
-from streetscan.classes import GROUND, N_CLASSES, UNLABELLED, colours
+from streetscan.classes import FACADE, GROUND, N_CLASSES, UNLABELLED, colours
 from streetscan.clouds import PointCloud
 from streetscan.segmentation.metrics import reliability_bins
 from streetscan.voxels import VoxelGrid
@@ -23,7 +23,7 @@ EYE_HEIGHT_M = 2.2
 _PITCH = -0.07
 _MEASURED = {"intensity": "Intensity", "rgb": "Colours of the cameras"}
 _REACH_M, _CELL_M, _N_DIRECTIONS, _MAX_PLACES = 35.0, 4.0, 16, 500
-# The ground that is looked from is scanned better than this share of the ground; how much what stands at the feet counts.
+# The ground that is looked from is scanned better than this share of the ground.
 _SCANNED_QUANTILE, _BLOCKING = 0.8, 2.0
 
 
@@ -34,24 +34,34 @@ class Viewpoint(NamedTuple):
     yaw_rad: float
 
 
-def choose_viewpoint(points: np.ndarray, labels: np.ndarray, counts: np.ndarray | None = None) -> Viewpoint:
+def choose_viewpoint(
+    points: np.ndarray,
+    labels: np.ndarray,
+    counts: np.ndarray | None = None,
+    wanted: Sequence[int] = range(N_CLASSES),
+    reach_m: float = _REACH_M,
+    blocking: float = _BLOCKING,
+) -> Viewpoint:
     """A place on the road that has a free view of much of many classes.
 
     Well-scanned ground cells of 4 m (up to 500, evenly spread: the scanner passed there) and 16 directions are tried; the score of a
-    direction is the sum over the classes of the logarithm of what a wedge of 60 degrees holds of it from 6 to 35 m away, so that one rare
-    class outweighs much of a common one, less twice the logarithm of what stands in its first 6 m.
+    direction is the sum over the classes of the logarithm of what a wedge of 60 degrees holds of it from 6 m to `reach_m` away, so that
+    one rare class outweighs much of a common one, less `blocking` times the logarithm of what stands in its first 6 m.
 
     Args:
         points: (V, 3) float64, frame `map`, metres.
         labels: (V,) uint8.
         counts: (V,) measured points that each of them stands for; None: one.
+        wanted: classes that are looked for.
+        reach_m: how far they are.
+        blocking: how much what stands at the feet counts.
     Returns:
         the viewpoint, 2.2 m above the ground there; without ground, above the lowest points.
     """
     floor = labels == GROUND if (labels == GROUND).any() else points[:, 2] <= np.quantile(points[:, 2], 0.1)
     cells, first = _cells(points, _CELL_M)
     held = np.zeros((len(cells), N_CLASSES))
-    known = labels != UNLABELLED
+    known = np.isin(labels, list(wanted))
     np.add.at(held, (first[known], labels[known]), 1)
     standing = np.bincount(first[~floor], minlength=len(cells))
     scanned = np.bincount(first[floor], None if counts is None else counts[floor], minlength=len(cells))
@@ -64,14 +74,14 @@ def choose_viewpoint(points: np.ndarray, labels: np.ndarray, counts: np.ndarray 
         centre = centres[here]
         offset = centres - centre
         distance = np.hypot(*offset.T)
-        seen = (distance > 1.5 * _CELL_M) & (distance < _REACH_M)
+        seen = (distance > 1.5 * _CELL_M) & (distance < reach_m)
         at_feet = (distance > 0) & (distance <= 1.5 * _CELL_M)
         azimuth = np.arctan2(offset[:, 1], offset[:, 0])
         for yaw in directions:
             ahead = np.cos(azimuth - yaw) > np.cos(np.radians(30))
             # Things at the feet fill the picture and hide the rest.
-            blocking = standing[here] + standing[at_feet & ahead].sum()
-            score = float(np.log1p(held[seen & ahead].sum(axis=0)).sum() - _BLOCKING * np.log1p(blocking))
+            hiding = standing[here] + standing[at_feet & ahead].sum()
+            score = float(np.log1p(held[seen & ahead].sum(axis=0)).sum() - blocking * np.log1p(hiding))
             candidate = (round(score, 6), -float(np.hypot(*(centre - middle))), centre, float(yaw))
             best = max(best, candidate, key=lambda c: c[:2])
     centre, yaw = best[2:]
@@ -144,6 +154,34 @@ def draw_views(
         drawn[f"{name}_top"] = figures.map_view(above, [], _MEASURED[name], pixel_m, np.pi / 2 - yaw)
         drawn[f"{name}_street"] = figures.map_view(render_cloud(near, street, eye, point_size_m=0.06), [], _MEASURED[name])
     return drawn
+
+
+# The picture of the houses is narrower than the others, and its eye looks for facades, whatever else stands before it.
+_HOUSES_WIDTH, _HOUSES_REACH_M, _HOUSES_BLOCKING = 0.7, 18.0, 0.25
+
+
+def draw_houses(
+    grid: VoxelGrid, labels: np.ndarray, true: np.ndarray | None, clouds: Iterable[PointCloud], width_px: int, reach_m: float
+) -> dict[str, Figure]:
+    """The scan from eye level, towards houses: `true_houses`, `intensity_houses`, `rgb_houses` where known; nothing without a facade.
+
+    Args:
+        grid, true, clouds, width_px, reach_m: as for `draw_views`.
+        labels: (V,) uint8 labels that say where facades are.
+    """
+    if not (labels == FACADE).any():
+        return {}
+    seen_from = choose_viewpoint(grid.centres, labels, grid.counts, [FACADE], _HOUSES_REACH_M, _HOUSES_BLOCKING)
+    eye = _view(seen_from, round(_HOUSES_WIDTH * width_px))
+    near, rows, measured = _near_points(grid, clouds, seen_from.position, reach_m)
+    shown = {name: grey_levels(v) if name == "intensity" else v.astype(np.uint8) for name, (v, _) in measured.items()}
+    headings = dict(_MEASURED)
+    if _has_truth(true):
+        shown, headings = {"true": colours(true)[rows]} | shown, {"true": "True labels"} | headings
+    return {
+        f"{name}_houses": figures.map_view(render_cloud(near, paint, eye, point_size_m=0.06), [], headings[name])
+        for name, paint in shown.items()
+    }
 
 
 def draw_statistics(predicted: np.ndarray, confidence: np.ndarray, true: np.ndarray | None) -> dict[str, Figure]:

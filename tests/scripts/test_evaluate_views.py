@@ -41,6 +41,7 @@ def test_pictures_with_truth(inputs, tmp_path):
     evaluate_views.main(**inputs, truth_path=str(tmp_path / "labels.npy"), folder=str(tmp_path / "views"))
     names = {f"{kind}_{side}.png" for kind in ("predicted", "true", "errors") for side in ("top", "street")}
     names |= {f"{kind}_{side}.jpg" for kind in ("intensity", "rgb") for side in ("top", "street")}
+    names |= {"true_houses.png", "intensity_houses.jpg", "rgb_houses.jpg"}
     names |= {"class_shares.svg", "reliability.svg", "volumes.png", "failures.csv"}
     assert {p.name for p in (tmp_path / "views").iterdir()} == names
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from streetscan.benchmarks import figures, views
-from streetscan.classes import CAR, GROUND, UNLABELLED
+from streetscan.classes import CAR, FACADE, GROUND, UNLABELLED
 from streetscan.clouds import PointCloud
 from streetscan.voxels import VoxelGrid, voxelize
 
@@ -38,6 +38,24 @@ def test_the_eye_finds_the_cars():
     to_cars = np.array([75, 4]) - place.position[:2]
     assert np.hypot(*to_cars) < 35
     assert np.cos(place.yaw_rad - np.arctan2(to_cars[1], to_cars[0])) > np.cos(np.radians(30))
+
+
+def test_the_eye_looks_for_what_is_wanted_within_reach():
+    """A long road with cars at one end and a house beside the other."""
+    x, y = (a.ravel() for a in np.meshgrid(np.arange(0, 80, 0.5), np.arange(0, 8, 0.5)))
+    road = np.c_[x, y, np.zeros(len(x))]
+    cars = road[(x > 70) & (y > 2) & (y < 6)] + [0, 0, 1]
+    along, up = (a.ravel() for a in np.meshgrid(np.arange(0, 20, 0.5), np.arange(0, 9, 0.5)))
+    house = np.c_[along, np.full(len(along), 14.0), up]
+    labels = np.repeat(np.uint8([GROUND, CAR, FACADE]), [len(road), len(cars), len(house)])
+    place = views.choose_viewpoint(np.concatenate([road, cars, house]), labels, None, [FACADE], 16.0)
+    assert np.hypot(*(place.position[:2] - [10, 14])) < 20
+    assert np.sin(place.yaw_rad) > 0.3
+
+
+def test_without_a_facade_no_houses_are_drawn(street):
+    grid, true = street
+    assert views.draw_houses(grid, np.full_like(true, GROUND), true, [], 100, 30.0) == {}
 
 
 @pytest.mark.parametrize("label", [GROUND, CAR, UNLABELLED])
