@@ -37,10 +37,9 @@ def main(
     rows = registrations.registration_scores(drives, inputs["grids"]) + localizations.localization_scores(on_maps)
     rows += networks.all_scores(inputs, known, evaluations) + calibrations.all_scores(inputs)
     found = scores.collect_scores(evaluations, facts, rows + thinning.thinning_scores(thinnings, thinned["names"]))
-    printed = tables.make_tables(found)
-    figures = Path(outputs["figures"])
-    sections = report.draw_sections(figures, found, evaluations, histories, views) + networks.draw_networks(figures, inputs, known)
-    sections += thinning.draw_thinning(figures, found)
+    printed, figures = tables.make_tables(found), Path(outputs["figures"])
+    sections = report.draw_sections(figures, found, evaluations, histories, views)
+    sections += networks.draw_networks(figures, inputs, known) + thinning.draw_thinning(figures, found)
     sections += report.realism_sections(figures, sheets, realism["not_compared"], densities, realism["static_scans"])
     sections += registrations.draw_drives(figures, drives, dict(zip(map(tuple, merged), inputs["streets"], strict=True)), inputs["frames"])
     sections += localizations.draw_localizations(figures, on_maps, inputs["localization_pictures"])
@@ -50,7 +49,8 @@ def main(
     resolved, unscored = yaml.safe_dump(dict(config), sort_keys=False, allow_unicode=True), [pair for pair in views if pair not in scored]
     html = report.render_report(about, found, printed, sections, resolved, unscored, realism["simulated"])
     tables.write_tables(outputs["tables"], printed)
-    scores.write_named(outputs["tables"], realism=sheets, density=densities, thinning=thinnings)
+    held = report.yardstick_tables(found, realism["simulated"])
+    scores.write_named(outputs["tables"], realism=sheets, density=densities, thinning=thinnings, yardsticks=held)
     scores.write_scores(outputs["scores"], found)
     report.write_report(outputs["report"], html)
 

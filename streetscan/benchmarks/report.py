@@ -354,6 +354,13 @@ def yardsticks(scores: pd.DataFrame, simulated: Sequence[str]) -> list[dict[str,
     return lines
 
 
+def yardstick_tables(scores: pd.DataFrame, simulated: Sequence[str]) -> dict[str, pd.DataFrame]:
+    """`yardsticks` by data set, as tables with the generator's version: what is kept of every version."""
+    lines = pd.DataFrame(yardsticks(scores, simulated), columns=["dataset", "name", "asked", "found", "verdict"])
+    lines.insert(1, "generator_version", GENERATOR_VERSION)
+    return {str(name): of.drop(columns="dataset") for name, of in lines.groupby("dataset", sort=False)}
+
+
 def save_picture(figure: Figure, folder: Path, name: str, caption: str, is_narrow: bool = False) -> Picture:
     """A figure, written as SVG and PDF, as a picture of the report."""
     for suffix in (".pdf", ".svg"):

@@ -14,6 +14,7 @@ from streetscan.registration.evaluation import align_trajectory, evaluate_chain,
 from streetscan.registration.grid_evaluation import score_grid
 from streetscan.registration.odometry import FramePose
 from streetscan.segmentation.metrics import evaluate_labels
+from streetscan.simulation.layout import GENERATOR_VERSION
 
 CONFIG = {"run": "try", "seed": 1, "labelled_maps": ["city/c2cnn"], "calibrate_keyframe": {"settings": {}}}
 TABLES = {"nagy_1_2", "nagy_2_3", "nagy_2_4", "nagy_2_3_natural", "map_cleaning", "jozsa_1", "jozsa_2", "registration", "grid_classes"}
@@ -163,6 +164,9 @@ def test_all_outputs(inputs, tmp_path):
         assert text in html
     realism = pd.read_csv(tmp_path / "out" / "tables" / "realism.csv")
     assert realism["map"].tolist() == ["city", "city", "oakland", "oakland"]
+    yardsticks = pd.read_csv(tmp_path / "out" / "tables" / "yardsticks.csv", keep_default_na=False)
+    assert set(yardsticks["generator_version"]) == {GENERATOR_VERSION}
+    assert set(yardsticks["verdict"]) <= {"holds", "fails", ""}
     assert set(pd.read_csv(tmp_path / "out" / "tables" / "density.csv")["scanner"]) == {"static", "mobile"}
 
 
