@@ -131,7 +131,12 @@ def test_a_seed_goes_through_to_what_a_model_takes_and_starts_from(tmp_path, sha
     chosen = ["oakland/c2cnn_city_seed_2", "oakland/c2cnn_from_city_seed_2", "oakland/lightgbm_seed_2"]
     jobs = dry_run("--config", f"data_root={shared_data}", f"labelled_maps={json.dumps(chosen)}", directory=tmp_path)
     trained = {job.wildcards["dataset"] + "/" + job.wildcards["model"]: job for job in jobs if job.rule.startswith("train_")}
-    assert sorted(trained) == ["city/c2cnn_seed_2", "city/c2cnn_thinned_seed_2", "oakland/c2cnn_from_city_seed_2", "oakland/lightgbm_seed_2"]
+    assert sorted(trained) == [
+        "city/c2cnn_seed_2",
+        "city/c2cnn_thinned_seed_2",
+        "oakland/c2cnn_from_city_seed_2",
+        "oakland/lightgbm_seed_2",
+    ]
     initial = "results/train_segmenter/city/c2cnn_seed_2/weights.safetensors"
     assert initial in trained["oakland/c2cnn_from_city_seed_2"].inputs
 
