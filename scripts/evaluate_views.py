@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from streetscan.benchmarks.figures import save_figure
-from streetscan.benchmarks.views import draw_closely, draw_houses, draw_statistics, draw_views
+from streetscan.benchmarks.views import draw_closely, draw_statistics, draw_views
 from streetscan.io.arrays import load_npy
 from streetscan.io.label_tiles import read_label_tiles
 from streetscan.io.las import iterate_las
@@ -37,7 +37,6 @@ def main(
     predicted, confidence = read_label_tiles(prediction_paths, len(grid))
     true = load_npy(truth_path, "label_voxels") if truth_path else None
     views = draw_views(grid, predicted, true, iterate_las(map_path), width_px, reach_m)
-    views |= draw_houses(grid, predicted, true, iterate_las(map_path), width_px, reach_m)
     closely, failures = draw_closely(grid, predicted, true, k, n_failures)
     for name, figure in (views | closely).items():
         # Noise of points does not compress as flat colours do.

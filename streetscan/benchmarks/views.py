@@ -27,6 +27,10 @@ _REACH_M, _CELL_M, _N_DIRECTIONS, _MAX_PLACES = 35.0, 4.0, 16, 500
 _SCANNED_QUANTILE, _BLOCKING = 0.8, 2.0
 
 
+# The picture of the houses is narrower than the others, and its eye looks for facades, whatever else stands before it.
+_HOUSES_WIDTH, _HOUSES_REACH_M, _HOUSES_BLOCKING = 0.7, 18.0, 0.25
+
+
 class Viewpoint(NamedTuple):
     """An eye: (3,) position in frame `map`, metres, and the direction it looks, counter-clockwise from easting."""
 
@@ -126,15 +130,20 @@ def draw_views(
     Returns:
         `predicted_top`, `predicted_street` and, when any voxel has a true label, `true_*` and `errors_*`; `intensity_*` and `rgb_*`
         when the points have them. The view from above shows voxels (the mean of their points' intensities and colours), turned so that
-        the map's long side lies across; the view from eye level shows points.
+        the map's long side lies across; the view from eye level shows points. Where there are facades, what is true and measured is
+        shown from a second eye, too, which looks for them (`*_houses`).
     """
     centres = grid.centres
     seen_from = choose_viewpoint(centres, predicted, grid.counts)
     yaw = _principal_yaw(centres)
     turned = _turn(centres, -yaw)
     bounds_m, pixel_m = _frame(turned, width_px)
+    known = true if _has_truth(true) else predicted
+    eyes = [seen_from]
+    if (known == FACADE).any():
+        eyes.append(choose_viewpoint(centres, known, grid.counts, [FACADE], _HOUSES_REACH_M, _HOUSES_BLOCKING))
+    seen, means = _look(grid, clouds, eyes, reach_m)
     eye = _view(seen_from, width_px)
-    near, rows, measured = _near_points(grid, clouds, seen_from.position, reach_m)
     voxel_colours = {"predicted": colours(predicted)}
     if _has_truth(true):
         voxel_colours |= {"true": colours(true), "errors": error_colours(predicted, true)}
@@ -146,42 +155,21 @@ def draw_views(
         top = render_top(turned, paint, pixel_m, bounds_m, point_size_m=2 * grid.size_m)
         heading = headings[name]
         drawn[f"{name}_top"] = figures.map_view(top, entries, heading, pixel_m, np.pi / 2 - yaw)
-        street = render_cloud(near, paint[rows], eye, point_size_m=0.06)
+        street = render_cloud(seen[0].points, paint[seen[0].rows], eye, point_size_m=0.06)
         drawn[f"{name}_street"] = figures.map_view(street, entries, heading)
-    for name, (of_points, of_voxels) in measured.items():
-        top, street = (grey_levels(v) if name == "intensity" else v.astype(np.uint8) for v in (of_voxels, of_points))
-        above = render_top(turned, top, pixel_m, bounds_m, point_size_m=2 * grid.size_m)
+    for name, of_voxels in means.items():
+        above = render_top(turned, _paint(name, of_voxels), pixel_m, bounds_m, point_size_m=2 * grid.size_m)
         drawn[f"{name}_top"] = figures.map_view(above, [], _MEASURED[name], pixel_m, np.pi / 2 - yaw)
-        drawn[f"{name}_street"] = figures.map_view(render_cloud(near, street, eye, point_size_m=0.06), [], _MEASURED[name])
+        street = render_cloud(seen[0].points, _paint(name, seen[0].values[name]), eye, point_size_m=0.06)
+        drawn[f"{name}_street"] = figures.map_view(street, [], _MEASURED[name])
+    for there, place in zip(seen[1:], eyes[1:], strict=True):
+        of_houses = {name: (_MEASURED[name], _paint(name, there.values[name])) for name in means}
+        if "true" in voxel_colours:
+            of_houses["true"] = headings["true"], voxel_colours["true"][there.rows]
+        for name, (heading, paint) in of_houses.items():
+            picture = render_cloud(there.points, paint, _view(place, round(_HOUSES_WIDTH * width_px)), point_size_m=0.06)
+            drawn[f"{name}_houses"] = figures.map_view(picture, [], heading)
     return drawn
-
-
-# The picture of the houses is narrower than the others, and its eye looks for facades, whatever else stands before it.
-_HOUSES_WIDTH, _HOUSES_REACH_M, _HOUSES_BLOCKING = 0.7, 18.0, 0.25
-
-
-def draw_houses(
-    grid: VoxelGrid, labels: np.ndarray, true: np.ndarray | None, clouds: Iterable[PointCloud], width_px: int, reach_m: float
-) -> dict[str, Figure]:
-    """The scan from eye level, towards houses: `true_houses`, `intensity_houses`, `rgb_houses` where known; nothing without a facade.
-
-    Args:
-        grid, true, clouds, width_px, reach_m: as for `draw_views`.
-        labels: (V,) uint8 labels that say where facades are.
-    """
-    if not (labels == FACADE).any():
-        return {}
-    seen_from = choose_viewpoint(grid.centres, labels, grid.counts, [FACADE], _HOUSES_REACH_M, _HOUSES_BLOCKING)
-    eye = _view(seen_from, round(_HOUSES_WIDTH * width_px))
-    near, rows, measured = _near_points(grid, clouds, seen_from.position, reach_m)
-    shown = {name: grey_levels(v) if name == "intensity" else v.astype(np.uint8) for name, (v, _) in measured.items()}
-    headings = dict(_MEASURED)
-    if _has_truth(true):
-        shown, headings = {"true": colours(true)[rows]} | shown, {"true": "True labels"} | headings
-    return {
-        f"{name}_houses": figures.map_view(render_cloud(near, paint, eye, point_size_m=0.06), [], headings[name])
-        for name, paint in shown.items()
-    }
 
 
 def draw_statistics(predicted: np.ndarray, confidence: np.ndarray, true: np.ndarray | None) -> dict[str, Figure]:
@@ -226,35 +214,57 @@ def draw_closely(
     return drawn, describe_failures(grid, failures)
 
 
+def _paint(name: str, values: np.ndarray) -> np.ndarray:
+    return grey_levels(values) if name == "intensity" else values.astype(np.uint8)
+
+
 def _has_truth(true: np.ndarray | None) -> bool:
     return true is not None and bool((true != UNLABELLED).any())
 
 
-def _near_points(
-    grid: VoxelGrid, clouds: Iterable[PointCloud], position: np.ndarray, reach_m: float
-) -> tuple[np.ndarray, np.ndarray, dict[str, tuple[np.ndarray, np.ndarray]]]:
-    """Points near the eye and their voxels; per field all clouds have, its values at those points and its mean in every voxel."""
-    points, rows, fields, sums = [np.empty((0, 3))], [np.empty(0, np.int64)], dict.fromkeys(_MEASURED), dict.fromkeys(_MEASURED, 0.0)
+class _Seen(NamedTuple):
+    """Points near an eye (n, 3), their voxels (n,), and per field that was measured its values at them."""
+
+    points: np.ndarray
+    rows: np.ndarray
+    values: dict[str, np.ndarray]
+
+
+def _look(
+    grid: VoxelGrid, clouds: Iterable[PointCloud], eyes: Sequence[Viewpoint], reach_m: float
+) -> tuple[list[_Seen], dict[str, np.ndarray]]:
+    """What each eye has near it, and per field that all clouds have its mean in every voxel; the clouds are read once."""
+    points, rows, values = [[] for _ in eyes], [[] for _ in eyes], [{name: [] for name in _MEASURED} for _ in eyes]
+    sums = dict.fromkeys(_MEASURED, 0.0)
     for cloud in clouds:
         row = grid.find(grid.keys_of(cloud.points))
-        near = (row >= 0) & (np.hypot(*(cloud.points[:, :2] - position[:2]).T) < reach_m)
-        points.append(cloud.points[near])
-        rows.append(row[near])
-        for name in list(fields):
-            if name not in cloud.fields:
-                del fields[name]
-                continue
-            values = cloud.fields[name].astype(np.float64).reshape(len(cloud), -1)
-            fields[name] = [*(fields[name] or []), values[near]]
-            columns = [np.bincount(row[row >= 0], v[row >= 0], minlength=len(grid)) for v in values.T]
+        sums = {name: of for name, of in sums.items() if name in cloud.fields}
+        fields = {name: cloud.fields[name].astype(np.float64).reshape(len(cloud), -1) for name in sums}
+        for name, field in fields.items():
+            columns = [np.bincount(row[row >= 0], v[row >= 0], minlength=len(grid)) for v in field.T]
             sums[name] = sums[name] + np.stack(columns, axis=1)
-    measured = {}
-    for name, parts in fields.items():
-        # A field that is one value throughout was left empty.
-        if parts and np.ptp(sums[name] / np.maximum(grid.counts, 1)[:, None]) > 0:
-            values, means = np.concatenate(parts), sums[name] / np.maximum(grid.counts, 1)[:, None]
-            measured[name] = (values[:, 0], means[:, 0]) if name == "intensity" else (values, means)
-    return np.concatenate(points), np.concatenate(rows), measured
+        for k, eye in enumerate(eyes):
+            near = (row >= 0) & (np.hypot(*(cloud.points[:, :2] - eye.position[:2]).T) < reach_m)
+            points[k].append(cloud.points[near])
+            rows[k].append(row[near])
+            for name, field in fields.items():
+                values[k][name].append(field[near])
+    means = {name: of / np.maximum(grid.counts, 1)[:, None] for name, of in sums.items() if not np.isscalar(of)}
+    # A field that is one value throughout was left empty.
+    means = {name: mean for name, mean in means.items() if np.ptp(mean) > 0}
+    seen = [
+        _Seen(
+            np.concatenate(points[k] or [np.empty((0, 3))]),
+            np.concatenate(rows[k] or [np.empty(0, np.int64)]),
+            {name: _one_column(name, np.concatenate(values[k][name])) for name in means},
+        )
+        for k in range(len(eyes))
+    ]
+    return seen, {name: _one_column(name, mean) for name, mean in means.items()}
+
+
+def _one_column(name: str, values: np.ndarray) -> np.ndarray:
+    return values[:, 0] if name == "intensity" else values
 
 
 def _principal_yaw(points: np.ndarray) -> float:

@@ -72,9 +72,9 @@ class Receiver:
     def __post_init__(self):
         if not self.min_range_m < self.max_range_m:
             found = f"{self.min_range_m:g} with max_range_m {self.max_range_m:g}"
-            raise BadInput("simulation.receiver.min_range_m", found, "let min_range_m be below max_range_m")
+            raise BadInput("receiver.min_range_m", found, "let min_range_m be below max_range_m")
         if not self.resolution_m > 0:
-            raise BadInput("simulation.receiver.resolution_m", f"{self.resolution_m:g} is not above 0", "give metres, such as 0.6")
+            raise BadInput("receiver.resolution_m", f"{self.resolution_m:g} is not above 0", "give metres, such as 0.6")
 
 
 @dataclass

@@ -14,6 +14,7 @@ from streetscan.segmentation.c2cnn import (
     drop,
     extract_cubes,
     grid_channels,
+    grid_pillars,
     input_channels,
     load_network,
     save_network,
@@ -111,6 +112,14 @@ def test_local_counts_by_hand():
     grid = make_grid([[0, 0, 0], [5, 0, 30]], counts=[2, 6])
     found = grid_channels(grid, Settings(k=11, channels=("count",), count_scale="local"))
     np.testing.assert_allclose(found[:, 0], np.log1p([5, 15]), rtol=1e-6)
+
+
+def test_pillars_by_hand():
+    """One pillar holds two slabs of 24, the other one."""
+    grid = make_grid([[0, 0, 0], [1, 0, 25], [50, 0, 50]])
+    found = grid_channels(grid, Settings(channels=("occupancy", "pillar")))
+    np.testing.assert_allclose(found, [[1, 2 / 24], [1, 2 / 24], [1, 1 / 24]], rtol=1e-6)
+    assert grid_pillars(grid, Settings()) is None
 
 
 def test_unknown_heights_are_refused_only_where_they_are_used():

@@ -67,6 +67,19 @@ def test_thinning_keeps_the_samples_own_voxels_and_lowers_counts():
     assert np.expm1(thin[:, 0]).sum() < np.expm1(full[:, 0]).sum()
 
 
+def test_what_fills_a_pillar_stays_where_thinning_takes_points():
+    part = make_part(1, dataclasses.replace(SETTINGS, channels=("count", "pillar")))
+    part.thin(0.1)
+    runs = part.runs(8, 200, np.random.default_rng(0))
+    turns = np.zeros(len(runs), np.int64)
+    full, full_coords, _, _ = part.batch(runs, turns)
+    thin, coords, _, _ = part.batch(runs, turns, np.random.default_rng(1))
+    at = {tuple(c): value for c, value in zip(full_coords.tolist(), full[:, 1], strict=True)}
+    assert len(thin) < len(full)
+    assert len(set(full[:, 1].tolist())) > 1
+    np.testing.assert_array_equal(thin[:, 1], [at[tuple(c)] for c in coords.tolist()])
+
+
 def test_local_counts_stay_where_thinning_lowers_them():
     """The mean of the relative counts hardly moves; that of the counts falls."""
     means = {}

@@ -53,9 +53,13 @@ def test_the_eye_looks_for_what_is_wanted_within_reach():
     assert np.sin(place.yaw_rad) > 0.3
 
 
-def test_without_a_facade_no_houses_are_drawn(street):
+def test_houses_are_drawn_where_there_are_facades(street, tiny_world):
     grid, true = street
-    assert views.draw_houses(grid, np.full_like(true, GROUND), true, [], 100, 30.0) == {}
+    drawn = set(views.draw_views(grid, true, true, [tiny_world.cloud], width_px=100))
+    assert {"true_houses"} <= drawn
+    assert "predicted_houses" not in drawn
+    ground = np.full_like(true, GROUND)
+    assert not [name for name in views.draw_views(grid, ground, ground, [], width_px=100) if name.endswith("houses")]
 
 
 @pytest.mark.parametrize("label", [GROUND, CAR, UNLABELLED])
@@ -84,7 +88,8 @@ def test_all_views_of_a_map_with_truth(street, tiny_world):
     predicted[::10] = CAR
     drawn = views.draw_views(grid, predicted, true, [tiny_world.cloud], width_px=200, reach_m=50)
     kinds = ("predicted", "true", "errors", "intensity", "rgb")
-    assert set(drawn) == {f"{kind}_{side}" for kind in kinds for side in ("top", "street")}
+    names = {f"{kind}_{side}" for kind in kinds for side in ("top", "street")}
+    assert set(drawn) == names | {"true_houses", "intensity_houses", "rgb_houses"}
     known = true != UNLABELLED
     wrong = 100 * np.mean(predicted[known] != true[known])
     heading = drawn["errors_top"].texts[0].get_text()
