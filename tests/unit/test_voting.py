@@ -4,7 +4,7 @@ import tracemalloc
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from streetscan.classes import COLUMN, FURNITURE
@@ -39,6 +39,7 @@ def search(observed, landmarks, kinds, n_keypoints=8, window=None):
 
 
 @settings(max_examples=25, deadline=None)
+@example(n=5, seed=2798, turn_deg=0.0, shift=(0.0, 0.0, 0.0), n_keypoints=16)
 @given(
     n=st.integers(4, 15),
     seed=st.integers(0, 10_000),
@@ -52,7 +53,9 @@ def test_the_transform_of_any_constellation_is_found(n, seed, turn_deg, shift, n
     peaks, _ = search(landmarks.transformed(invert(T)), landmarks, kinds, n_keypoints)
     assert np.allclose(peaks[0].shift_m, shift, atol=0.02)
     assert np.isclose(peaks[0].turn_rad, np.radians(turn_deg), atol=0.002)
-    assert peaks[0].consensus > 0.95 * n
+    # A part of an object that holds no point has no keypoint, and that does not agree.
+    is_there = np.isfinite(landmarks.keypoints(n_keypoints)).all(axis=-1)
+    assert peaks[0].consensus > 0.95 * n * is_there.mean()
 
 
 @settings(max_examples=25, deadline=None)
