@@ -1,6 +1,7 @@
 """How fast C²CNN labels and trains, against the same network cube by cube, and how time and memory grow with map and cube."""
 
 import json
+import math
 import subprocess
 import sys
 import tempfile
@@ -199,11 +200,12 @@ def _best(call: Callable, n_repeats: int = 3) -> float:
     return min(times[1:])
 
 
-def _street(n_points: int, width_m: float = 20.0, points_per_m: float = POINTS_PER_M) -> Iterator[np.ndarray]:
-    """A street of ground, two facades, cars, trees and posts, in segments; so many points on a metre."""
+def _street(length_m: float, width_m: float = 20.0, points_per_m: float = POINTS_PER_M) -> Iterator[np.ndarray]:
+    """A street of ground, two facades, cars, trees and posts, in segments; about so many points on a metre."""
     rng = np.random.default_rng(1)
-    per_m2 = points_per_m / (width_m + 27)
-    for i in range(max(1, round(n_points / (SEGMENT_M * points_per_m)))):
+    # 37 square metres of what stands on each metre of the road.
+    per_m2 = points_per_m / (width_m + 37)
+    for i in range(math.ceil(length_m / SEGMENT_M)):
         n_ground = int(SEGMENT_M * width_m * per_m2)
         ground = rng.random((n_ground, 3)) * [SEGMENT_M, width_m, 0] + rng.normal(0, 0.01, (n_ground, 3))
         facades = []
@@ -226,7 +228,8 @@ def _street(n_points: int, width_m: float = 20.0, points_per_m: float = POINTS_P
                 leaves + np.array([x, 16, 5]),
                 np.c_[x + 0.15 * np.cos(angle), 16 + 0.15 * np.sin(angle), 4 * rng.random(len(angle))],
             ]
-        yield np.concatenate([ground, *facades, *things]) + np.array([i * SEGMENT_M, 0, 0])
+        points = np.concatenate([ground, *facades, *things]) + np.array([i * SEGMENT_M, 0, 0])
+        yield points[points[:, 0] < length_m]
 
 
 def _city_grid(length_m: float) -> VoxelGrid:
@@ -240,14 +243,13 @@ def _city_grid(length_m: float) -> VoxelGrid:
 
 
 def _street_grid(n_points: int) -> VoxelGrid:
-    return _with_heights(voxelize(_street(n_points), 0.1))
+    return _with_heights(voxelize(_street(n_points / POINTS_PER_M), 0.1))
 
 
 def _scene_grid(n_points: int) -> VoxelGrid:
     """The made-up street as wide and as long as the thesis' scene."""
     length_m, width_m = SCENE_M
-    clouds = _street(n_points, width_m, n_points / length_m)
-    return _with_heights(voxelize((points[points[:, 0] < length_m] for points in clouds), 0.1))
+    return _with_heights(voxelize(_street(length_m, width_m, n_points / length_m), 0.1))
 
 
 def _with_heights(grid: VoxelGrid) -> VoxelGrid:

@@ -122,8 +122,8 @@ def voxelize(chunks: Iterable[np.ndarray], size_m: float, origin: np.ndarray | N
     """
     if not size_m > 0:
         raise BadInput("voxelize_map.size_m", f"{size_m} is not above 0", "give the voxel edge in metres, such as 0.1")
-    total = np.empty(0, np.int64), np.empty(0, np.int64), *np.empty((3, 0))
-    parts: list[tuple[np.ndarray, ...]] = []
+    # Keys, counts, sums of heights, first and last times, in parts; the first part of each column is what is merged so far.
+    columns: list[list[np.ndarray]] = [[] for _ in _TOGETHER]
     for points in chunks:
         if len(points) == 0:
             continue
@@ -132,13 +132,15 @@ def voxelize(chunks: Iterable[np.ndarray], size_m: float, origin: np.ndarray | N
             origin = np.floor(points[0, :3] / steps) * steps
         packed = pack_keys(_keys_of(points, origin, size_m))
         times_s = points[:, 3] if points.shape[1] == 4 else np.full(len(points), np.nan)
-        parts.append(_sum_by_key(packed, np.ones(len(packed), np.int64), points[:, 2] - origin[2], times_s, times_s))
+        part = _merge([[c] for c in (packed, np.ones(len(packed), np.int64), points[:, 2] - origin[2], times_s, times_s)])
+        for column, values in zip(columns, part, strict=True):
+            column.append(values)
         # Merging only when the parts outweigh the total keeps the sum of all merges proportional to the voxels.
-        if sum(len(part[0]) for part in parts) > len(total[0]):
-            total, parts = _merge([total, *parts]), []
+        if sum(map(len, columns[0][1:])) > len(columns[0][0]):
+            columns = [[merged] for merged in _merge(columns)]
     if origin is None:
         raise BadInput("the map", "holds no point", "give a map with points")
-    packed, counts, sums, first_s, last_s = _merge([total, *parts])
+    packed, counts, sums, first_s, last_s = _merge(columns)
     mean_z, unknown = origin[2] + sums / counts, np.full(len(packed), np.nan, np.float32)
     # Many files hold one and the same time throughout, which is none.
     spread_s = (last_s - first_s).astype(np.float32) if last_s.max() > first_s.min() else unknown.copy()
@@ -151,15 +153,18 @@ def _keys_of(points: np.ndarray, origin: np.ndarray, size_m: float) -> np.ndarra
     return np.floor((points[:, :3] - origin) / size_m + 1e-6).astype(np.int64)
 
 
-def _merge(parts: list[tuple[np.ndarray, ...]]) -> tuple[np.ndarray, ...]:
-    return _sum_by_key(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+# How the columns of voxels with one key become one: counts and heights are added, of times the first and the last is kept.
+_TOGETHER = (None, np.add, np.add, np.minimum, np.maximum)
 
 
-def _sum_by_key(
-    packed: np.ndarray, counts: np.ndarray, sums: np.ndarray, first_s: np.ndarray, last_s: np.ndarray
-) -> tuple[np.ndarray, ...]:
+def _merge(columns: list[list[np.ndarray]]) -> list[np.ndarray]:
+    """The parts of each column as one, each key once; they are taken out of the lists, so that memory holds one column twice, not all."""
+    packed = np.concatenate(columns.pop(0))
     order = np.argsort(packed, kind="stable")
     packed = packed[order]
     starts = np.flatnonzero(np.r_[True, packed[1:] != packed[:-1]])
-    added = (np.add.reduceat(column[order], starts) for column in (counts, sums))
-    return packed[starts], *added, np.minimum.reduceat(first_s[order], starts), np.maximum.reduceat(last_s[order], starts)
+    merged = [packed[starts]]
+    del packed
+    for together in _TOGETHER[1:]:
+        merged.append(together.reduceat(np.concatenate(columns.pop(0))[order], starts))
+    return merged

@@ -118,11 +118,16 @@ def label_voxels(
         # The list passes on a tile's error.
         list(workers.map(look_at_tile, np.flatnonzero(np.diff(bounds))))
     own = is_own[looked_at]
-    alone = shares[own].argmax(axis=1).astype(np.uint8)
-    smoothed = smooth_shares(grid.keys[looked_at], shares, smoothing)[own]
-    rows, labels = looked_at[own], smoothed.argmax(axis=1).astype(np.uint8)
+    alone = _best_class(shares)[own] if smoothing.n_rounds else None
+    smoothed = smooth_shares(grid.keys[looked_at], shares, smoothing)
+    rows = looked_at[own]
     logger.info("%d voxels in %d tiles labelled", len(rows), np.count_nonzero(group_of_tile == group))
-    return VoxelLabels(rows, labels, smoothed.max(axis=1), alone if smoothing.n_rounds else None)
+    return VoxelLabels(rows, _best_class(smoothed)[own], smoothed.max(axis=1)[own], alone)
+
+
+def _best_class(shares: np.ndarray) -> np.ndarray:
+    """(v,) uint8 the class with the largest of the shares (v, 9)."""
+    return shares.argmax(axis=1).astype(np.uint8)
 
 
 def _is_near(grid: VoxelGrid, tile: np.ndarray, tiles: np.ndarray, reach: int) -> np.ndarray:

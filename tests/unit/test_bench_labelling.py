@@ -7,7 +7,7 @@ from benchmarks import bench_labelling
 
 def test_the_city_s_grid_is_compared_with_cubes(monkeypatch):
     monkeypatch.setattr(bench_labelling, "N_CUBES", 16)
-    grid = bench_labelling._street_grid(1)
+    grid = bench_labelling._street_grid(500_000)
     small = grid.select(np.abs(grid.keys[:, 0] - np.median(grid.keys[:, 0])) < 5)
     rows = {(r["benchmark"], r["metric"], r["peer"]): r["value"] for r in bench_labelling._bench_grid("city", small, 40)}
     assert rows["label_city", "equal_labels", "cube by cube"] == 1
