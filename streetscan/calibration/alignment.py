@@ -48,12 +48,13 @@ class IcpSettings:
         normal_m: radius of the neighbourhood of a normal.
         noise_m: of both clouds, apart from the depths.
         noise_px: of a match between images, which makes depths the worse, the smaller the angle between the rays is.
-        scale_std: deviation of the scale of the camera's cloud from 1, which holds it where the clouds do not tell it; the lidar's motion
-            gives it to half a percent. Large for a cloud without unit.
+        scale_std: deviation of the scale of the camera's cloud from 1, beside what the lidar's motion leaves open (KeyframeClouds); it
+            holds the scale where the clouds do not tell it. Large for a cloud without unit.
         max_scale: largest deviation that is accepted (N-230).
         is_scaled: False keeps the scale of the start, as the thesis' standard ICP does.
-        bend_std_deg: deviation of the direction structure from motion has the camera go in. ASSUME: 0.2; nine right keyframes on training
-            and validation streets are off by 0.20 degrees (root of the mean square), eight of KITTI's that edges corrected by 0.23.
+        bend_std_deg: deviation of the direction structure from motion has the camera go in, on a way of a metre; the longer the way, the
+            smaller. ASSUME: 0.4; KITTI's ways of 2.3 m, which edges corrected, were off by 0.23 degrees (root of the mean square), those of
+            2 m on training and validation streets by 0.20, of 5 m by 0.02.
         min_pairs: fewer correspondences are no registration.
     """
 
@@ -64,10 +65,10 @@ class IcpSettings:
     normal_m: float = 0.25
     noise_m: float = 0.02
     noise_px: float = 0.5
-    scale_std: float = 0.01
+    scale_std: float = 0.003
     max_scale: float = 0.1
     is_scaled: bool = True
-    bend_std_deg: float = 0.2
+    bend_std_deg: float = 0.4
     min_pairs: int = 200
 
     def __post_init__(self):
@@ -214,8 +215,9 @@ def find_places(
         c.overlap = comparison.overlap(c.T_sfm_lidar)
     chosen = _first_apart(candidates, s.n_refined, 0.4, np.radians(1.5))
     points, comparison = points_of_cloud(lidar), _Comparison(lidar, sfm, view, s.cube_m / 2)
+    short = replace(s.icp, reaches_m=(0.8, 0.4, 0.2), n_iterations=12, thin_m=0.3, min_pairs=50)
     for c in chosen:
-        c.T_sfm_lidar = refine_alignment(points, target, c.T_sfm_lidar, _SHORT).T_sfm_lidar
+        c.T_sfm_lidar = refine_alignment(points, target, c.T_sfm_lidar, short).T_sfm_lidar
         c.overlap = comparison.overlap(c.T_sfm_lidar)
     inside = [c for c in chosen if np.abs(_shift(lidar, sfm, c.T_sfm_lidar)[:2]).max() <= s.window.shift_m]
     return _first_apart([c for c in inside if c.overlap >= s.min_overlap], s.n_places, 0.3, np.radians(1.0))
@@ -256,10 +258,6 @@ def is_apart(T_a: np.ndarray, T_b: np.ndarray, shift_m: float, turn_rad: float) 
     """Whether two places (4, 4) differ by more than a shift or a turn."""
     change = rigid_of(invert(T_b) @ T_a)
     return bool(np.linalg.norm(change[:3, 3]) > shift_m or rotation_angle(change) > turn_rad)
-
-
-# The refinement before candidates are compared.
-_SHORT = IcpSettings(reaches_m=(0.8, 0.4, 0.2), n_iterations=12, thin_m=0.3, min_pairs=50)
 
 
 def standing_points(cloud: CloudObjects, low_m: float = 0.5, high_m: float = 3.0) -> np.ndarray:

@@ -57,7 +57,7 @@ def read_clouds(
         BadInput: a file is missing, damaged, or belongs to another keyframe.
     """
     cameras = read_yaml(Path(model_folder) / "cameras.yaml")
-    frame, reference = read_keyframe_lidar(drive_path, keyframe), cameras["reference"]
+    frame, reference, scale = read_keyframe_lidar(drive_path, keyframe), cameras["reference"], cameras.get("scale")
     K = np.array(cameras["camera_matrix"])
     T_camera_sfm = np.eye(4)
     T_camera_sfm[:3] = np.linalg.solve(K, np.array(cameras["projection"]))
@@ -72,6 +72,7 @@ def read_clouds(
         read_keyframe_images(drive_path, keyframe)[reference],
         motion_of(poses, keyframe.lidar_time_ns, keyframe.image_times_ns[reference]),
         read_initial(drive_path),
+        scale["std"] / scale["metres_per_unit"] if scale else 0.0,
     )  # fmt: skip
 
 

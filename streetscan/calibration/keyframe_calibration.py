@@ -23,6 +23,7 @@ from streetscan.calibration.alignment import (
     Alignment,
     AlignmentSettings,
     ControlPoints,
+    IcpSettings,
     PlaneTarget,
     Registration,
     find_places,
@@ -70,6 +71,7 @@ class CalibrationSettings:
         motion_turn_deg: the turn that the motion tells is searched this far to either side; 180 leaves the motion out, as the thesis does.
         n_bins: bins of a segment of the control curves.
         range_m: lidar points farther away do not take part in ICP.
+        judged_m: matched objects are judged by their points within this distance, if they have any; farther depths of images are worse.
         final: stage that gives `projection`: `edges`, `motion`, or `curves` as in the thesis; without motion it is `curves` anyway.
         max_bend_deg: largest error of the way of the camera that image edges may correct, in the stage `edges`.
         with_raw: align without removing moving things too, for the first row of Table 4.2.
@@ -83,6 +85,7 @@ class CalibrationSettings:
     motion_turn_deg: float = 15.0
     n_bins: int = 10
     range_m: float = 40.0
+    judged_m: float = 30.0
     final: str = "edges"
     max_bend_deg: float = 2.5
     with_raw: bool = True
@@ -116,6 +119,7 @@ class KeyframeClouds:
         image: (H, W, 3) uint8 RGB, rectified.
         motion: of the lidar, or None.
         T_initial: (4, 4) T_camera_lidar in force, or None.
+        scale_std: deviation of the dense points' scale from 1, as the lidar's motion tells it; 0 adds nothing to that of the settings.
     """
 
     points_lidar: np.ndarray
@@ -128,6 +132,7 @@ class KeyframeClouds:
     image: np.ndarray
     motion: LidarMotion | None = None
     T_initial: np.ndarray | None = None
+    scale_std: float = 0.0
 
 
 @dataclass
@@ -183,6 +188,7 @@ def calibrate_keyframe(clouds: KeyframeClouds, settings: CalibrationSettings = C
         raise BadInput("T_camera_lidar in force", "a value that is not finite", "give a rigid transform, or none")
     made = KeyframeCalibration()
     clock = _Clock(made.seconds)
+    settings = replace(settings, alignment=replace(settings.alignment, icp=_know_cloud(settings.alignment.icp, clouds)))
     try:
         scene = _prepare(clouds, settings, made, clock)
         places = find_places(made.lidar, made.sfm, scene.target, clouds.view, scene.alignment, _ways(clouds, settings) is not None)
@@ -196,6 +202,12 @@ def calibrate_keyframe(clouds: KeyframeClouds, settings: CalibrationSettings = C
     chosen = choose_place(tried, lambda a, b: _outdoes(clouds, settings, scene, a, b))
     clock.stop("quality")
     return chosen
+
+
+def _know_cloud(icp: IcpSettings, c: KeyframeClouds) -> IcpSettings:
+    """The deviations of the camera's cloud: of its scale as the lidar's motion leaves it, and of a way as long as the camera's."""
+    way_m = max(1.0, float(np.linalg.norm(c.cameras_sfm[-1] - c.cameras_sfm[1])))
+    return replace(icp, scale_std=float(np.hypot(icp.scale_std, c.scale_std)), bend_std_deg=icp.bend_std_deg / way_m)
 
 
 def choose_place(
@@ -477,7 +489,8 @@ def _measure(
     points, target = scene.points, scene.target
     lidar, numbers = made.lidar, made.control.objects
     members = np.concatenate([lidar.points_of(m) for m in numbers]) if len(numbers) else np.empty((0, 3))
-    raw = apply(invert(lidar.T_level_cloud), members)
+    near = np.hypot(members[:, 0], members[:, 1]) < s.judged_m
+    raw = apply(invert(lidar.T_level_cloud), members[near] if near.any() else members)
     own = _freed(c, raw)
     moved = apply(T_sfm_lidar, own)
     distances = plane_distances(moved, straightened, s.alignment.icp.reaches_m[1])

@@ -38,8 +38,8 @@ class ObjectSettings:
     """Which blobs of a cloud are objects; lengths in metres.
 
     Attributes:
-        range_m: horizontal distance within which a cloud is used. ASSUME: 30, where the thesis takes 15; in a wide street nothing stands
-            nearer in a camera's view.
+        range_m: horizontal distance within which a cloud is used. ASSUME: 50, where the thesis takes 15; in a wide street nothing stands
+            nearer than 30 in a camera's view.
         thin_m: points are averaged in cubes of this edge first, so that both clouds have about the same density.
         flat_m: cells of 0.2 m whose heights differ by less are ground candidates (thesis ch. 3: 0.1).
         above_m: points lower above the ground are ground.
@@ -54,7 +54,7 @@ class ObjectSettings:
         min_points: a voxel and its neighbours with fewer points have no shape.
     """
 
-    range_m: float = 30.0
+    range_m: float = 50.0
     thin_m: float = 0.05
     flat_m: float = 0.15
     above_m: float = 0.2

@@ -49,7 +49,7 @@ class ScaleSettings:
     min_way_m: float = 0.5
     max_std: float = 0.05
     max_misfit: float = 0.02
-    max_turn_deg: float = 0.6
+    max_turn_deg: float = 1.2
 
 
 @dataclass

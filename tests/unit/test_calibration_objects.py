@@ -79,7 +79,7 @@ def test_what_hangs_above_is_split_off():
 
 def test_walls_and_what_is_far_off_are_no_objects():
     wall = np.c_[np.random.default_rng(6).uniform(-12, 12, 20_000), np.full(20_000, 8.0), np.random.default_rng(7).uniform(-1.7, 2, 20_000)]
-    cloud = np.concatenate([road(), wall, post(6, 3), post(40, 0)])
+    cloud = np.concatenate([road(), wall, post(6, 3), post(60, 0)])
     assert len(find_objects(cloud, find_level(cloud, np.eye(4)))) == 1
 
 

@@ -65,10 +65,24 @@ def test_edges_do_not_ruin_what_the_clouds_had_right(toy, made):
 
 
 def test_a_cloud_that_is_two_percent_too_large_gives_the_same_mounting():
-    made = calibrate_keyframe(toy_keyframe(scale=1.02).clouds, SETTINGS)
+    made = calibrate_keyframe(changed(toy_keyframe(scale=1.02), scale_std=0.02), SETTINGS)
     assert made.status == "ok", made.reason
     assert made.figures["scale"] == pytest.approx(1 / 1.02, abs=0.004)
     assert np.linalg.norm((invert(T_CAMERA_LIDAR) @ made.T_camera_lidar)[:3, 3]) < 0.05
+
+
+def test_a_scale_that_the_motion_tells_is_held(toy):
+    """The surer the lidar's motion is of the scale, the less the clouds change it."""
+    scales = [calibrate_keyframe(changed(toy_keyframe(scale=1.02), scale_std=std), SETTINGS).figures["scale"] for std in (0.01, 0.0)]
+    assert abs(scales[1] - 1) < abs(scales[0] - 1)
+
+
+def test_what_is_far_off_does_not_judge_where_something_is_near(toy):
+    settings = replace(SETTINGS, judged_m=12.0)
+    near = calibrate_keyframe(toy.clouds, settings)
+    assert np.hypot(*near.evidence[:, :2].T).max() < 13.0
+    # Where nothing is near, what there is has to do.
+    assert len(calibrate_keyframe(toy.clouds, replace(SETTINGS, judged_m=0.5)).evidence)
 
 
 def test_without_motion_the_curves_give_the_projection(toy):
