@@ -1,9 +1,9 @@
 """A toy street seen by a lidar and, as a cloud of images, by a camera on one vehicle; everything about them is known."""
 
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 
-import cv2
 import numpy as np
 import yaml
 
@@ -12,6 +12,7 @@ from streetscan.calibration.keyframe_calibration import KeyframeClouds
 from streetscan.calibration.keyframes import Keyframe, tabulate_keyframes
 from streetscan.calibration.linear_projection import View
 from streetscan.calibration.motion import LidarMotion
+from streetscan.calibration.ways import lidar_way
 from streetscan.clouds import PointCloud
 from streetscan.frames import CameraImage, CameraModel, LidarFrame
 from streetscan.geometry import apply, invert, transform
@@ -32,34 +33,87 @@ T_CAMERA_LIDAR = _AHEAD @ invert(transform([0.4, 0.1, -0.2], np.radians([0.4, 1.
 IMAGE_S = 0.012
 
 
-def street_points(seed: int = 0) -> np.ndarray:
-    """(N, 3) surfaces of a street along x, frame `lidar` at the stamp: road, walls with recesses, posts, boxes."""
+@dataclass(frozen=True)
+class Street:
+    """What stands on an even road, seen from above, frame `lidar` at the stamp.
+
+    Attributes:
+        sides: (n, 5) x and y of both ends, and height above the road, of upright faces.
+        posts: (m, 4) x, y, radius and height.
+    """
+
+    sides: np.ndarray
+    posts: np.ndarray
+
+    def cast(self, origin: np.ndarray, rays: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """How often rays (N, 3) must be taken from an origin (3,) to what they hit, infinite for the sky, and its number; 0 is the road."""
+        with np.errstate(divide="ignore"):
+            times = np.where(rays[:, 2] < 0, -(HEIGHT_M + origin[2]) / rays[:, 2], np.inf)
+        numbers, (x, y) = np.zeros(len(rays), int), rays[:, :2].T
+        hits = []
+        for x0, y0, x1, y1, height in self.sides - [*origin[:2], *origin[:2], 0]:
+            with np.errstate(divide="ignore", invalid="ignore"):
+                across = x * (y1 - y0) - y * (x1 - x0)
+                share = (x0 * y - y0 * x) / across
+                hits.append((np.where((share >= 0) & (share <= 1), (x0 * (y1 - y0) - y0 * (x1 - x0)) / across, -1), height))
+        for px, py, radius, height in self.posts - [*origin[:2], 0, 0]:
+            squares, along = x**2 + y**2, x * px + y * py
+            root = along**2 - squares * (px**2 + py**2 - radius**2)
+            hits.append((np.where(root > 0, (along - np.sqrt(np.maximum(root, 0))) / squares, -1), height))
+        for number, (t, height) in enumerate(hits, 1):
+            z = HEIGHT_M + origin[2] + rays[:, 2] * t
+            is_nearer = (t > 0) & (t < times) & (z >= 0) & (z <= height)
+            times, numbers = np.where(is_nearer, t, times), np.where(is_nearer, number, numbers)
+        return times, numbers
+
+
+def street(seed: int = 0) -> Street:
+    """Walls with recesses along x, posts and boxes."""
     rng = np.random.default_rng(seed)
-    parts = [np.c_[rng.uniform(-15, 35, 60_000), rng.uniform(-9, 9, 60_000), np.zeros(60_000)]]
+    sides = []
     for side in (-1, 1):
         for x in np.arange(-15, 35, 5.0):
-            depth, n = 9 + rng.uniform(0, 1.5), 3000
-            parts.append(np.c_[rng.uniform(x, x + 5, n), np.full(n, side * depth), rng.uniform(0, 5, n)])
-            parts.append(np.c_[np.full(n, x), side * rng.uniform(8.8, depth, n), rng.uniform(0, 5, n)])
-    for x, y in [(6.5, 4.6), (9.0, -4.1), (12.7, 5.2), (14.1, -5.5), (18.3, 4.4), (21.2, -4.8), (-6, 4), (-9, -5), (24.5, 5.6)]:
-        angle, n = rng.uniform(-np.pi, np.pi, 900), 900
-        parts.append(np.c_[x + 0.1 * np.cos(angle), y + 0.1 * np.sin(angle), rng.uniform(0, 3.5, n)])
+            depth = side * (9 + rng.uniform(0, 1.5))
+            sides += [(x, depth, x + 5, depth, 5), (x, side * 8.8, x, depth, 5)]
     for x, y, width in [(8.2, 6.5, 0.8), (16.0, -6.4, 1.2), (20.0, 6.6, 0.6), (-4, 6, 1.0)]:
-        corners = rng.uniform(0, 1, (1500, 3))
-        face = rng.integers(0, 4, 1500)
-        corners[np.arange(1500), face // 2] = face % 2
-        parts.append(np.array([x, y, 0]) + corners * [width, width, 1.1])
-    return np.concatenate(parts) - [0, 0, HEIGHT_M]
+        corners = [(x, y), (x + width, y), (x + width, y + width), (x, y + width), (x, y)]
+        sides += [(*a, *b, 1.1) for a, b in pairwise(corners)]
+    places = [(6.5, 4.6), (9.0, -4.1), (12.7, 5.2), (14.1, -5.5), (18.3, 4.4), (21.2, -4.8), (-6, 4), (-9, -5), (24.5, 5.6)]
+    return Street(np.array(sides), np.array([(x, y, 0.1, 3.5) for x, y in places]))
 
 
-def is_in_front(points: np.ndarray, step_rad: float = np.radians(0.5)) -> np.ndarray:
-    """(N,) bool: points that nothing hides from the origin; directions are told apart by half a degree."""
-    ranges = np.linalg.norm(points, axis=1)
-    cells = np.floor(np.c_[np.arctan2(points[:, 1], points[:, 0]), np.arcsin(points[:, 2] / ranges)] / step_rad).astype(int)
-    _, cell_of = np.unique(cells, axis=0, return_inverse=True)
-    nearest = np.full(cell_of.max() + 1, np.inf)
-    np.minimum.at(nearest, cell_of.ravel(), ranges)
-    return ranges < 1.03 * nearest[cell_of.ravel()] + 0.15
+def row_of_posts(spacing_m: float) -> Street:
+    """Nothing but equal posts at equal distances on both sides."""
+    return Street(np.empty((0, 5)), np.array([(x, y, 0.1, 2.4) for y in (-5, 5) for x in np.arange(-20, 45, spacing_m)]))
+
+
+def scan(seen: Street) -> np.ndarray:
+    """(N, 3) points of a lidar's rings, frame `lidar` at the stamp."""
+    azimuths, elevations = np.meshgrid(np.radians(np.arange(-180, 180, 0.2)), np.radians(np.arange(-25, 15, 0.8)))
+    rays = np.stack([np.cos(elevations) * np.cos(azimuths), np.cos(elevations) * np.sin(azimuths), np.sin(elevations)], axis=-1)
+    times, _ = seen.cast(np.zeros(3), rays.reshape(-1, 3))
+    return (rays.reshape(-1, 3) * times[:, None])[(times > 2.5) & (times < 40)]
+
+
+def look(seen: Street, pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """What the camera has at pixels (N, 2): points (N, 3) in its frame, infinitely far for the sky, and their number (N,)."""
+    T_stamp_camera, rays = invert(true_stamp()), np.c_[pixels, np.ones(len(pixels))] @ np.linalg.inv(K).T
+    depths, numbers = seen.cast(T_stamp_camera[:3, 3], rays @ T_stamp_camera[:3, :3].T)
+    return np.where(np.isfinite(depths), depths, 1e6)[:, None] * rays, numbers
+
+
+def take_picture(seen: Street) -> np.ndarray:
+    """The image (H, W, 3) uint8: each thing has a grey of its own."""
+    points, numbers = look(seen, np.dstack(np.meshgrid(np.arange(WIDTH), np.arange(IMAGE_HEIGHT))).reshape(-1, 2))
+    greys = np.where(points[:, 2] < 1e5, 40 + 160 * (numbers * 0.618 % 1), 250).astype(np.uint8)
+    return np.repeat(greys.reshape(IMAGE_HEIGHT, WIDTH, 1), 3, axis=2)
+
+
+def reconstruct(seen: Street) -> np.ndarray:
+    """(N, 3) points of the camera's cloud; near the horizon rows are closer, so that the road has no gaps."""
+    rows = np.r_[0:IMAGE_HEIGHT:2, IMAGE_HEIGHT / 2 - 20 : IMAGE_HEIGHT / 2 + 60 : 0.25]
+    points, _ = look(seen, np.dstack(np.meshgrid(np.arange(0, WIDTH, 2), rows)).reshape(-1, 2))
+    return points[(points[:, 2] > 2) & (points[:, 2] < 35)]
 
 
 @dataclass
@@ -96,27 +150,14 @@ def lidar_poses() -> list[FramePose]:
     return poses
 
 
-def row_of_posts(spacing_m: float) -> np.ndarray:
-    """(N, 3) surfaces of a road along x with equal posts at equal distances on both sides, frame `lidar` at the stamp."""
-    rng = np.random.default_rng(0)
-    parts = [np.c_[rng.uniform(-20, 45, 80_000), rng.uniform(-9, 9, 80_000), np.zeros(80_000)]]
-    angles, heights = rng.uniform(-np.pi, np.pi, 900), rng.uniform(0, 2.4, 900)
-    parts += [np.c_[x + 0.1 * np.cos(angles), y + 0.1 * np.sin(angles), heights] for y in (-5, 5) for x in np.arange(-20, 45, spacing_m)]
-    return np.concatenate(parts) - [0, 0, HEIGHT_M]
-
-
 def toy_keyframe(seed: int = 0, scale: float = 1.0, posts_m: float | None = None) -> ToyKeyframe:
     """The keyframe; the camera's cloud is `scale` times as large as it should be, and the street one of posts where they are asked for."""
     rng = np.random.default_rng(seed + 1)
-    surface = street_points(seed) if posts_m is None else row_of_posts(posts_m)
-    ranges = np.linalg.norm(surface, axis=1)
-    stamp = surface[(ranges > 2.5) & (ranges < 40) & is_in_front(surface)]
+    seen = street(seed) if posts_m is None else row_of_posts(posts_m)
+    stamp, camera = scan(seen), reconstruct(seen)
     offsets = -np.arctan2(stamp[:, 1], stamp[:, 0]) / (2 * np.pi) * 0.1
     raw = stamp - offsets[:, None] * [SPEED_MPS, 0, 0]
-    camera = apply(true_stamp(), surface)
-    pixels = camera[:, :2] / np.maximum(camera[:, 2:], 0.1) @ K[:2, :2].T + K[:2, 2]
-    seen = (camera[:, 2] > 2) & (camera[:, 2] < 35) & ((pixels >= 0) & (pixels < [WIDTH, IMAGE_HEIGHT])).all(axis=1)
-    dense = (camera[seen] + rng.normal(0, 0.005, (seen.sum(), 3))) * scale
+    dense = (camera + rng.normal(0, 0.005, camera.shape)) * scale
     lidar_ns = START_NS + 1_000_000_000
     image_ns = [lidar_ns + round((IMAGE_S + 0.036 * i) * 1e9) for i in range(8)]
     way = T_CAMERA_LIDAR[:3, :3] @ [SPEED_MPS, 0, 0]
@@ -126,25 +167,10 @@ def toy_keyframe(seed: int = 0, scale: float = 1.0, posts_m: float | None = None
     view = View(np.eye(4), K, WIDTH, IMAGE_HEIGHT)
     clouds = KeyframeClouds(
         raw.astype(np.float32), offsets.astype(np.float32), np.ones(len(raw), bool), dense, np.zeros(len(dense), bool),
-        cameras * scale, view, draw_edges(surface), LidarMotion(poses, lidar_ns, image_ns[0]),
+        cameras * scale, view, take_picture(seen), LidarMotion(poses, lidar_ns, image_ns[0]),
+        image_times_ns=tuple(image_ns), way=lidar_way(poses, lidar_ns, image_ns, image_ns[0]),
     )  # fmt: skip
     return ToyKeyframe(clouds, stamp, keyframe, poses)
-
-
-def draw_edges(surface: np.ndarray) -> np.ndarray:
-    """An image (H, W, 3) uint8 of the street, the darker the farther away: steps in depth are edges."""
-    camera = apply(true_stamp(), surface)
-    camera = camera[camera[:, 2] > 2]
-    u, v = np.rint(camera[:, :2] / camera[:, 2:] @ K[:2, :2].T + K[:2, 2]).astype(int).T
-    inside = (u >= 0) & (u < WIDTH) & (v >= 0) & (v < IMAGE_HEIGHT)
-    # The road is even; of all else the nearest point within two pixels is seen.
-    rays = np.dstack([*np.meshgrid(np.arange(WIDTH), np.arange(IMAGE_HEIGHT)), np.ones((IMAGE_HEIGHT, WIDTH))]) @ np.linalg.inv(K).T
-    down = -(rays @ T_CAMERA_LIDAR[:3, 2])
-    height = HEIGHT_M + float(invert(T_CAMERA_LIDAR)[2, 3])
-    depth = np.where(down > 0.01, height / np.maximum(down, 0.01), 60.0).clip(max=60.0)
-    np.minimum.at(depth, (v[inside], u[inside]), camera[inside, 2])
-    grey = (250 - 4 * cv2.erode(depth, np.ones((5, 5)))).astype(np.uint8)
-    return np.repeat(grey[..., None], 3, axis=2)
 
 
 def write_keyframe(folder: Path, toy: ToyKeyframe) -> dict[str, Path]:
@@ -206,8 +232,7 @@ def calibrate_toy(
     folder: Path, inputs: dict[str, Path], settings: dict | None = None, dynamic_folder: Path | None = None
 ) -> dict[str, Path]:
     """Run calibrate_keyframe into a folder; its outputs."""
-    # Outlines in the toy's picture are blurred by two pixels.
-    settings = {"final": "motion", "quality": {"min_edge_margin_px": -2.0}} if settings is None else settings
+    settings = {"final": "motion"} if settings is None else settings
     names = {"calibration_path": "calibration.yaml", "evidence_path": "evidence.npz", "summary_path": "calibrated.csv"}
     outputs = {key: folder / name for key, name in names.items()} | {"pictures_folder": folder / "pictures"}
     calibrate_keyframe.main(**inputs, dynamic_folder=dynamic_folder, keyframe=0, settings=settings, **outputs)

@@ -28,6 +28,7 @@ from scipy.spatial.transform import Rotation
 
 from streetscan.calibration.linear_projection import View, rigid_of
 from streetscan.calibration.objects import UNSHAPED, CloudObjects, points_of_cloud
+from streetscan.calibration.ways import TURN_OFF_PER_TURN, Way
 from streetscan.geometry import apply, invert, rotation_angle, transform, transform_of_rotation
 from streetscan.localization.keypoints import ObjectSet
 from streetscan.localization.recovery import make_plane_map, search_plane
@@ -55,6 +56,8 @@ class IcpSettings:
         bend_std_deg: deviation of the direction structure from motion has the camera go in, on a way of a metre; the longer the way, the
             smaller. ASSUME: 0.4; KITTI's ways of 2.3 m, which edges corrected, were off by 0.23 degrees (root of the mean square), those of
             2 m on training and validation streets by 0.20, of 5 m by 0.02.
+        way_std_m: deviation of where the lidar's way ends, to its side.
+        way_std_s: of the times of images and lidar frames, which change the bearing of a way in a turn.
         min_pairs: fewer correspondences are no registration.
     """
 
@@ -69,6 +72,8 @@ class IcpSettings:
     max_scale: float = 0.1
     is_scaled: bool = True
     bend_std_deg: float = 0.4
+    way_std_m: float = 0.005
+    way_std_s: float = 0.03
     min_pairs: int = 200
 
     def __post_init__(self):
@@ -274,6 +279,7 @@ class PlaneTarget:
         noise_m: (N,) expected error of each point.
         tree: of the points.
         bends: (N,) by how much, along its normal, each point is off for a radian of error of the way the camera goes, to its right.
+        way: of both sensors, or None where it is not known.
     """
 
     points: np.ndarray
@@ -281,14 +287,18 @@ class PlaneTarget:
     noise_m: np.ndarray
     tree: cKDTree
     bends: np.ndarray
+    way: Way | None = None
 
     def straightened(self, bend_rad: float) -> "PlaneTarget":
         """The planes where they are when the way of the camera is wrong by so much."""
         points = self.points - self.normals * (self.bends * bend_rad)[:, None]
-        return replace(self, points=points, tree=cKDTree(points))
+        way = None if self.way is None else self.way.straightened(bend_rad)
+        return replace(self, points=points, tree=cKDTree(points), way=way)
 
 
-def prepare_target(points_sfm: np.ndarray, cameras_sfm: np.ndarray, focal_px: float, settings: IcpSettings = IcpSettings()) -> PlaneTarget:
+def prepare_target(
+    points_sfm: np.ndarray, cameras_sfm: np.ndarray, focal_px: float, settings: IcpSettings = IcpSettings(), way: Way | None = None
+) -> PlaneTarget:
     """The camera's cloud with normals, and what each of its planes is worth.
 
     Args:
@@ -296,6 +306,7 @@ def prepare_target(points_sfm: np.ndarray, cameras_sfm: np.ndarray, focal_px: fl
         cameras_sfm: (n, 3) where the cameras stood; the first is the one that counts.
         focal_px: focal length of the images.
         settings: see IcpSettings.
+        way: of both sensors, which holds the yaw.
 
     A depth from images is wrong along the ray, by `noise_px` over the parallax; a plane the ray grazes hardly moves by it.
 
@@ -315,7 +326,7 @@ def prepare_target(points_sfm: np.ndarray, cameras_sfm: np.ndarray, focal_px: fl
     depth_noise = distances[:, 0] * s.noise_px / focal_px / np.maximum(parallax, 1e-4)
     noise = np.hypot(s.noise_m, depth_noise * np.abs(np.einsum("ij,ij->i", normals, rays[:, 0])))
     return PlaneTarget(
-        thinned, normals, noise, cKDTree(thinned), _bends(thinned - cameras_sfm[0], normals, cameras_sfm[-1] - cameras_sfm[0])
+        thinned, normals, noise, cKDTree(thinned), _bends(thinned - cameras_sfm[0], normals, cameras_sfm[-1] - cameras_sfm[0]), way
     )
 
 
@@ -349,6 +360,7 @@ class Registration:
             camera goes.
         covariance: (6, 6) of a small turn about the origin of `sfm` (rotation vector, rad) and a shift (m), in its axes, the scale being
             as uncertain as it is; NaN without enough correspondences.
+        bend_rad: the error of the way the camera goes, as planes and the lidar's way tell it.
     """
 
     T_sfm_lidar: np.ndarray
@@ -357,9 +369,10 @@ class Registration:
     is_converged: bool
     response: np.ndarray = field(default_factory=lambda: np.zeros(7))
     covariance: np.ndarray = field(default_factory=lambda: np.full((6, 6), np.nan))
+    bend_rad: float = 0.0
 
     def bent(self, bend_rad: float) -> np.ndarray:
-        """T_sfm_lidar (4, 4) as it would be found when the way of the camera is wrong by so much."""
+        """T_sfm_lidar (4, 4) as it would be found when the way of the camera is wrong by so much more than `bend_rad`."""
         return _step(self.response * bend_rad, np.zeros(3)) @ self.T_sfm_lidar
 
 
@@ -377,7 +390,7 @@ def refine_alignment(
     ASSUME: point to plane, where the thesis says standard ICP: rings of a lidar matched point to point pull towards the places between
     the rings, and with a free scale towards a smaller cloud. Our own lines, because the libraries' variants with a scale have no planes.
     """
-    s, T = settings, np.array(T_sfm_lidar, np.float64)
+    s, T, bend_rad = settings, np.array(T_sfm_lidar, np.float64), 0.0
     source = thin_points(points_lidar, s.thin_m)
     n, rmse, last_step = 0, np.nan, np.inf
     for reach in s.reaches_m:
@@ -389,17 +402,17 @@ def refine_alignment(
             if n < s.min_pairs:
                 return Registration(T, n, np.nan, False)
             moved, rows = moved[is_found], rows[is_found]
-            errors = np.einsum("ij,ij->i", moved - target.points[rows], target.normals[rows])
+            errors = np.einsum("ij,ij->i", moved - target.points[rows], target.normals[rows]) + target.bends[rows] * bend_rad
             weights = _weights(errors, target.noise_m[rows])
             rmse = float(np.sqrt((weights * errors**2).sum() / weights.sum()))
-            step = _solve(moved, target.normals[rows], errors, weights, scale_of(T) if s.is_scaled else None, s.scale_std)
+            step, bend_rad = _solve(_Linear(moved, target, rows, errors, weights), T, bend_rad, s)
             T = step @ T
             last_step = np.abs(apply(step, moved) - moved).max()
             if last_step < 1e-4:
                 break
     is_bounded = abs(scale_of(T) - 1) <= s.max_scale
-    response, covariance = _open_ways(moved, target.normals[rows], target.bends[rows], weights, s)
-    return Registration(T, n, rmse, bool(is_bounded and last_step < 0.02), response, covariance)
+    response, covariance = _open_ways(_Linear(moved, target, rows, errors, weights), s)
+    return Registration(T, n, rmse, bool(is_bounded and last_step < 0.02), response, covariance, bend_rad)
 
 
 def _weights(errors: np.ndarray, noise_m: np.ndarray) -> np.ndarray:
@@ -414,21 +427,50 @@ def _weights(errors: np.ndarray, noise_m: np.ndarray) -> np.ndarray:
 _CORRELATED = 60.0
 
 
-def _solve(moved, normals, errors, weights, scale: float | None, scale_std: float) -> np.ndarray:
-    """The small similarity (4, 4) that brings the weighted points onto the planes in the least-squares sense.
+@dataclass
+class _Linear:
+    """Points moved onto the target, the planes they belong to, and by how much they are off; what the least squares are made of."""
 
-    `scale` is the present one, which is drawn towards 1; None keeps it.
+    moved: np.ndarray
+    target: PlaneTarget
+    rows: np.ndarray
+    errors: np.ndarray
+    weights: np.ndarray
+
+    def normal_equations(self, centre: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """H (8, 8) and b (8,) of the planes and the way: a turn and a shift about a centre, a growth, and the camera's error of the way."""
+        normals, bends = self.target.normals[self.rows], self.target.bends[self.rows]
+        J = np.c_[_jacobian(self.moved - centre, normals), bends]
+        return (J * self.weights[:, None]).T @ J / _CORRELATED, (J * self.weights[:, None]).T @ self.errors / _CORRELATED
+
+    def add_way(self, H: np.ndarray, b: np.ndarray, T_sfm_lidar: np.ndarray, bend_rad: float) -> None:
+        """Add what the way tells where it is known: the lidar's past the camera's, as far as the camera's is right."""
+        way = self.target.way
+        if way is not None:
+            j = np.array([*TURN_OFF_PER_TURN, 0, 0, 0, 0, 1.0])
+            H += np.outer(j, j) / way.std_rad**2
+            b += j * (way.turn_off(T_sfm_lidar) + bend_rad) / way.std_rad**2
+
+
+def _solve(linear: _Linear, T: np.ndarray, bend_rad: float, s: IcpSettings) -> tuple[np.ndarray, float]:
+    """The small similarity (4, 4) that brings the weighted points onto the planes best, and the camera's error of the way.
+
+    The scale is drawn towards 1, and the error of the way, which planes tell a little and the lidar's way more, towards none; with
+    `is_scaled` False both stay as they are.
     """
-    centre = moved.mean(axis=0)
-    J = _jacobian(moved - centre, normals)
-    J = J if scale is not None else J[:, :6]
-    H, b = (J * weights[:, None]).T @ J / _CORRELATED, (J * weights[:, None]).T @ errors / _CORRELATED
+    centre = linear.moved.mean(axis=0)
+    H, b = linear.normal_equations(centre)
+    linear.add_way(H, b, T, bend_rad)
     # What the planes do not hold stays where it is.
-    H += 1e-6 * np.diag(np.diag(H)) + 1e-9 * np.trace(H) * np.eye(len(H))
-    if scale is not None:
-        H[6, 6] += (scale / scale_std) ** 2
-        b[6] += scale * (scale - 1) / scale_std**2
-    return _step(np.append(np.linalg.solve(H, -b), np.zeros(7 - len(b))), centre)
+    H[:7, :7] += 1e-6 * np.diag(np.diag(H)[:7]) + 1e-9 * np.trace(H[:7, :7]) * np.eye(7)
+    scale, std_rad = scale_of(T), max(np.radians(s.bend_std_deg), 1e-6)
+    H[6, 6] += (scale / s.scale_std) ** 2
+    b[6] += scale * (scale - 1) / s.scale_std**2
+    H[7, 7] += std_rad**-2
+    b[7] += bend_rad / std_rad**2
+    n = 8 if s.is_scaled else 6
+    x = np.append(np.linalg.solve(H[:n, :n], -b[:n]), np.zeros(8 - n))
+    return _step(x[:7], centre), bend_rad + float(x[7])
 
 
 def _step(x: np.ndarray, centre: np.ndarray) -> np.ndarray:
@@ -443,13 +485,14 @@ def _jacobian(arms: np.ndarray, normals: np.ndarray) -> np.ndarray:
     return np.concatenate([np.cross(arms, normals), normals, np.einsum("ij,ij->i", arms, normals)[:, None]], axis=1)
 
 
-def _open_ways(moved, normals, bends, weights, s: IcpSettings) -> tuple[np.ndarray, np.ndarray]:
+def _open_ways(linear: _Linear, s: IcpSettings) -> tuple[np.ndarray, np.ndarray]:
     """`Registration.response` and `covariance`; a direction no plane holds is known to a kilometre."""
-    J = _jacobian(moved, normals)
-    H = (J * weights[:, None]).T @ J / _CORRELATED + np.diag([*np.full(3, 1e-2), *np.full(3, 1e-6), s.scale_std**-2])
-    response = -np.linalg.solve(H, (J * weights[:, None]).T @ bends / _CORRELATED)
-    off = np.radians(s.bend_std_deg) * response
-    return response, (np.linalg.inv(H) + np.outer(off, off))[:6, :6]
+    H, b = linear.normal_equations(np.zeros(3))
+    linear.add_way(H, b, np.eye(4), 0.0)
+    known = H[:7, :7] + np.diag([*np.full(3, 1e-2), *np.full(3, 1e-6), s.scale_std**-2])
+    response = -np.linalg.solve(known, H[:7, 7])
+    H[:7, :7], H[7, 7] = known, H[7, 7] + max(np.radians(s.bend_std_deg), 1e-6) ** -2
+    return response, np.linalg.inv(H)[:6, :6]
 
 
 def scale_of(T: np.ndarray) -> float:

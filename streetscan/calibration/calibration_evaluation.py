@@ -20,10 +20,10 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from streetscan.calibration.edges import depth_edges
 from streetscan.calibration.keyframes import Keyframe
 from streetscan.calibration.linear_projection import project_linear
 from streetscan.calibration.projection import choose_spread, project_pinhole
-from streetscan.calibration.quality import depth_edges
 from streetscan.calibration.reconstruction_evaluation import true_camera_poses
 from streetscan.extrinsics import extrinsics_at, is_after_shift
 from streetscan.frames import LidarFrame

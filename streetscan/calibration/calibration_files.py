@@ -12,10 +12,12 @@ import pandas as pd
 import yaml
 
 from streetscan.calibration.drive_calibration import DriveCalibration, KeyframeResult
+from streetscan.calibration.edges import Shot, make_shot
 from streetscan.calibration.keyframe_calibration import STAGES, KeyframeCalibration, KeyframeClouds
 from streetscan.calibration.keyframes import Keyframe, read_keyframe_images, read_keyframe_lidar
 from streetscan.calibration.linear_projection import View, linear_of
 from streetscan.calibration.motion import motion_of
+from streetscan.calibration.ways import lidar_way
 from streetscan.errors import BadInput
 from streetscan.frames import CameraModel, Mounting
 from streetscan.geometry import invert
@@ -23,13 +25,13 @@ from streetscan.io.arrays import load_npz
 from streetscan.io.atomic import atomic_path
 from streetscan.io.files import find_file, read_yaml
 from streetscan.io.las import read_las
-from streetscan.io.mcap import TF, iterate_drive
+from streetscan.io.mcap import TF, iterate_drive, iterate_lidar
 from streetscan.registration.odometry import FramePose
 
 # Numbers of a keyframe in its row; those its status did not let be found are empty.
 FIGURES = (
     "n_lidar_objects", "n_sfm_objects", "n_lidar_voxels", "n_sfm_voxels", "n_lidar_columns", "n_places", "n_rivals", "n_matched", "n_icp",
-    "icp_rmse_m", "scale", "bend_deg", "bend_found_deg", "bend_std_deg", "bend_gain_px",
+    "icp_rmse_m", "scale", "way_off_deg", "bend_deg", "bend_found_deg", "bend_std_deg",
     "median_distance_m", "hausdorff_m", "sigma_x_px", "sigma_y_px", "edge_px", "edge_before_px", "edge_margin_px",
     "distance_before_m", "distance_after_m", "gain_m", "gain_std_m", "edge_gain_px", "edge_gain_std_px",
 )  # fmt: skip
@@ -63,17 +65,45 @@ def read_clouds(
     T_camera_sfm[:3] = np.linalg.solve(K, np.array(cameras["projection"]))
     dense = read_las(Path(model_folder) / "dense.laz")
     is_dynamic = dense.fields["is_dynamic"].astype(bool)
-    T_image_camera = [np.array(i["T_image_camera"]) for i in cameras["images"] if i["T_image_camera"] is not None]
+    registered = [i for i in cameras["images"] if i["T_image_camera"] is not None]
+    T_image_camera, times_ns = [np.array(i["T_image_camera"]) for i in registered], tuple(i["time_ns"] for i in registered)
+    images = read_keyframe_images(drive_path, keyframe)
     return KeyframeClouds(
         frame.points, frame.time_offset_s, read_static(dynamic_folder, keyframe.index, len(frame)), dense.points, is_dynamic,
         # The reference comes first: depths are told from there.
         np.concatenate([np.zeros((1, 3)), [invert(T)[:3, 3] for T in T_image_camera]]),
         View(T_camera_sfm, K, cameras["image_width"], cameras["image_height"]),
-        read_keyframe_images(drive_path, keyframe)[reference],
+        images[reference],
         motion_of(poses, keyframe.lidar_time_ns, keyframe.image_times_ns[reference]),
         read_initial(drive_path),
         scale["std"] / scale["metres_per_unit"] if scale else 0.0,
+        times_ns, lidar_way(poses, keyframe.lidar_time_ns, times_ns, keyframe.image_times_ns[reference]),
+        read_shots(drive_path, keyframe, images, poses),
     )  # fmt: skip
+
+
+def read_shots(drive_path: str | Path, keyframe: Keyframe, images: Sequence[np.ndarray], poses: list[FramePose]) -> tuple[Shot, ...]:
+    """Each lidar frame taken during a keyframe, with the image nearest in time; those whose motion is known.
+
+    Args:
+        drive_path: drive.mcap.
+        keyframe: a usable one.
+        images: of `read_keyframe_images`.
+        poses: of register_frames.
+    """
+    times_ns, shots = np.array(keyframe.image_times_ns), []
+    for frame in iterate_lidar(drive_path, int(times_ns[0] - _BESIDE_NS), int(times_ns[-1] + _BESIDE_NS + 1)):
+        nearest = int(np.abs(times_ns - frame.time_ns).argmin())
+        motion = motion_of(poses, frame.time_ns, int(times_ns[nearest]))
+        if motion is None or frame.time_offset_s is None:
+            continue
+        points = motion.deskew(frame.points, frame.time_offset_s)
+        shots.append(make_shot(images[nearest], points, invert(motion.at([motion.image_s])[0])))
+    return tuple(shots)
+
+
+# A lidar frame belongs to an image that is at most so far off in time: half of what a frame lasts.
+_BESIDE_NS = 50_000_000
 
 
 def read_static(folder: str | Path | None, keyframe: int, n_points: int) -> np.ndarray:

@@ -6,8 +6,8 @@ Two results. `projection` is for the raw frame: one 3x4 matrix from its points t
 lidar's stamp and the image's. `T_camera_lidar` is rigid, of the sensors on the vehicle: the frame is freed of its motion first, and the
 motion between the stamps is taken out.
 
-Both sensors see the vehicle move: the direction in either cloud tells the turn about the vertical within some degrees (`motion_turn_deg`),
-so the full circle of Algorithm 1 is searched only where the lidar's motion is not known.
+Both sensors see the vehicle move, and what they see is one way (`ways`): it holds the turn about the vertical in ICP, so that Algorithm 1
+searches some degrees (`motion_turn_deg`), and the full circle only where the lidar's motion is not known.
 
 ASSUME: `projection` is fitted to points freed of motion and aligned by ICP, where motion and firing times are known (`final`: motion). The
 thesis' own chain, T1 T* T_R on the raw frame's object centroids, is the stage `curves`, and is what is left without motion.
@@ -34,21 +34,12 @@ from streetscan.calibration.alignment import (
     scale_of,
 )
 from streetscan.calibration.control_curves import ControlCurves, fit_curves
+from streetscan.calibration.edges import EdgeCheck, Shot, find_bend, make_shot, paired_gain, sum_bundles
 from streetscan.calibration.linear_projection import LinearProjection, View, camera_of, fit_projection, linear_of, rigid_of
 from streetscan.calibration.motion import LidarMotion
 from streetscan.calibration.objects import CloudObjects, ObjectSettings, count_columns, find_level, find_objects
-from streetscan.calibration.quality import (
-    LEAST_GAIN_PX,
-    SURE,
-    EdgeCheck,
-    QualitySettings,
-    find_bend,
-    hausdorff_distance,
-    judge_gain,
-    paired_gain,
-    plane_distances,
-    sum_bundles,
-)
+from streetscan.calibration.quality import SURE, QualitySettings, hausdorff_distance, judge_gain, plane_distances
+from streetscan.calibration.ways import LidarWay, Way, make_way
 from streetscan.errors import BadInput
 from streetscan.geometry import apply, invert, rotation_angle, transform, transform_of_rotation
 from streetscan.registration.ndt import thin_points
@@ -68,7 +59,7 @@ class CalibrationSettings:
 
     Attributes:
         objects, alignment, quality: see their classes.
-        motion_turn_deg: the turn that the motion tells is searched this far to either side; 180 leaves the motion out, as the thesis does.
+        motion_turn_deg: the turn that the way tells is searched this far to either side; 180 leaves the way out, as the thesis does.
         n_bins: bins of a segment of the control curves.
         range_m: lidar points farther away do not take part in ICP.
         judged_m: matched objects are judged by their points within this distance, if they have any; farther depths of images are worse.
@@ -120,6 +111,9 @@ class KeyframeClouds:
         motion: of the lidar, or None.
         T_initial: (4, 4) T_camera_lidar in force, or None.
         scale_std: deviation of the dense points' scale from 1, as the lidar's motion tells it; 0 adds nothing to that of the settings.
+        image_times_ns: of the cameras, in the order of time.
+        way: of the lidar while the images were taken, or None.
+        shots: images of the keyframe, each with the lidar frame nearest in time; empty where the lidar's motion is not known.
     """
 
     points_lidar: np.ndarray
@@ -133,6 +127,9 @@ class KeyframeClouds:
     motion: LidarMotion | None = None
     T_initial: np.ndarray | None = None
     scale_std: float = 0.0
+    image_times_ns: tuple[int, ...] = ()
+    way: LidarWay | None = None
+    shots: tuple[Shot, ...] = ()
 
 
 @dataclass
@@ -191,7 +188,7 @@ def calibrate_keyframe(clouds: KeyframeClouds, settings: CalibrationSettings = C
     settings = replace(settings, alignment=replace(settings.alignment, icp=_know_cloud(settings.alignment.icp, clouds)))
     try:
         scene = _prepare(clouds, settings, made, clock)
-        places = find_places(made.lidar, made.sfm, scene.target, clouds.view, scene.alignment, _ways(clouds, settings) is not None)
+        places = find_places(made.lidar, made.sfm, scene.target, clouds.view, scene.alignment, scene.target.way is not None)
         clock.stop("alignment")
         if not places:
             raise CalibrationFailed("no_match", f"the clouds overlap nowhere by {100 * scene.alignment.min_overlap:.0f} %")
@@ -221,7 +218,9 @@ def choose_place(
     """
     passing = [m for m in tried if m.status == "ok"]
     best = min(passing, key=lambda m: m.figures["edge_px"]) if passing else tried[0]
-    rivals = [m for m in passing if is_apart(m.T_camera_stamp, best.T_camera_stamp, *_RIVAL) and not outdoes(best, m)]
+    # What the clouds leave open at the right place they may not at a wrong one, where less of them is compared.
+    others = [m for m in tried if passing and m.status in ("ok", "uncertain")]
+    rivals = [m for m in others if is_apart(m.T_camera_stamp, best.T_camera_stamp, *_RIVAL) and not outdoes(best, m)]
     best.figures |= {"n_places": len(tried), "n_rivals": len(rivals)}
     if rivals:
         change = rigid_of(invert(best.T_camera_stamp) @ rivals[0].T_camera_stamp)
@@ -237,7 +236,7 @@ _RIVAL = 0.3, np.radians(1.0)
 def _outdoes(c: KeyframeClouds, s: CalibrationSettings, scene: "_Scene", a: KeyframeCalibration, b: KeyframeCalibration) -> bool:
     """Whether clouds or edges speak for calibration a over b by more than their noise, and neither against it."""
     is_straight = a.figures.get("bend_deg", 0.0) == b.figures.get("bend_deg", 0.0) == 0
-    told = _compare(c, s, scene, 1 / a.figures["scale"], b.T_camera_stamp, a.T_camera_stamp, None if is_straight else True)
+    told = _compare(c, s, scene, 1 / a.figures["scale"], b.T_camera_stamp, a.T_camera_stamp, None if is_straight else True, np.logical_and)
     says = [(told["edge_gain_px"], SURE * told["edge_gain_std_px"])]
     # A cloud that edges have corrected has no say.
     if is_straight:
@@ -254,7 +253,8 @@ class _Scene:
         points: (N, 3) of the lidar, freed of motion where it is known.
         takes_part: (N,) bool, the points for ICP.
         target: the camera's cloud.
-        raw_check, check: image edges against those of the raw points, and of `points`.
+        raw_check: the image's edges against those of the raw points.
+        check: edges of the keyframe's shots, freed of motion; `raw_check` where the motion is not known.
     """
 
     alignment: AlignmentSettings
@@ -278,9 +278,11 @@ def _prepare(c: KeyframeClouds, s: CalibrationSettings, made: KeyframeCalibratio
     is_moving = c.motion is not None and c.time_offset_s is not None
     points = c.motion.deskew(c.points_lidar, c.time_offset_s) if is_moving else c.points_lidar
     near = np.linalg.norm(points, axis=1) < s.range_m
-    target = prepare_target(c.points_sfm[~c.is_dynamic_sfm | s.with_parked], c.cameras_sfm, c.view.K[0, 0], a.icp)
-    raw_check = EdgeCheck(c.image, c.points_lidar, s.quality)
-    check = EdgeCheck(c.image, points, s.quality) if is_moving else raw_check
+    target = prepare_target(c.points_sfm[~c.is_dynamic_sfm | s.with_parked], c.cameras_sfm, c.view.K[0, 0], a.icp, _way_of(c, s))
+    raw_check = check = EdgeCheck([make_shot(c.image, c.points_lidar, np.eye(4))], np.eye(4), s.quality)
+    if is_moving:
+        T_stamp_image = c.motion.at([c.motion.image_s])[0]
+        check = EdgeCheck(c.shots or [make_shot(c.image, points, invert(T_stamp_image))], T_stamp_image, s.quality)
     clock.stop("objects")
     return _Scene(a, points, (c.is_static | s.with_parked) & near, target, raw_check, check)
 
@@ -311,6 +313,7 @@ def _register(c: KeyframeClouds, s: CalibrationSettings, scene: _Scene, made: Ke
     registered, near = raw, scene.points[scene.takes_part]
     if scene.points is not c.points_lidar:
         registered = refine_alignment(near, target, raw.T_sfm_lidar, icp)
+        target = target.straightened(registered.bend_rad)
         moving = _fit_raw(c, scene.points, registered.T_sfm_lidar)
         if moving is not None:
             made.stages["motion"] = moving.projection
@@ -324,6 +327,8 @@ def _register(c: KeyframeClouds, s: CalibrationSettings, scene: _Scene, made: Ke
     made.T_camera_lidar = made.T_camera_stamp if c.motion is None else c.motion.to_image(made.T_camera_stamp)
     made.figures |= {"icp_rmse_m": registered.rmse_m, "n_icp": registered.n_pairs, "scale": 1 / scale_of(registered.T_sfm_lidar)}
     made.figures["n_matched"] = len(made.control.objects)
+    if target.way is not None:
+        made.figures["way_off_deg"] = float(np.degrees(target.way.turn_off(registered.T_sfm_lidar)))
     clock.stop("motion")
     if not registered.is_converged:
         raise CalibrationFailed("not_converged", f"{registered.n_pairs} correspondences, scale {scale_of(registered.T_sfm_lidar):.3f}")
@@ -342,35 +347,31 @@ def _straighten(
     Beyond the thesis. Structure from motion hardly tells a turn of all images from a way to the side; the street then comes out turned
     against the images, and no registration of clouds can see it. In the image itself the sides of posts and houses do.
 
-    A correction is kept only if the edges tell it from none and those kept for the check lie nearer for it; a street whose edges are
-    everywhere has many places where some do. Else all stays as the clouds have it.
+    A correction is made only where edges tell it from none; a street whose edges are everywhere has many places where some do.
     """
-    check, target, total = scene.check, scene.target, 0.0
-    before = registered, target
-    for share in _STRAIGHTENED:
-        found = find_bend(
-            check,
-            lambda e, r=registered: linear_of(c.view.T_camera_sfm @ r.bent(e), c.view.K),
-            np.radians(share * s.max_bend_deg),
-            _BEND_STEP_RAD,
-        )
-        if share == _STRAIGHTENED[0]:
-            told = {"bend_found_deg": np.degrees(found.rad), "bend_std_deg": np.degrees(found.std_rad), "bend_gain_px": found.gain_px}
-            made.figures |= {"bend_deg": 0.0} | {name: float(value) for name, value in told.items()}
-            if not found.is_clear:
-                return before
-        total, target = total + found.rad, target.straightened(found.rad)
-        registered = refine_alignment(near, target, registered.bent(found.rad), s.alignment.icp)
-    # What was promised must hold for the registration that comes of it, too.
-    was, now = (check.distance_px(linear_of(c.view.T_camera_sfm @ r.T_sfm_lidar, c.view.K), True) for r in (before[0], registered))
-    if not (registered.is_converged and was - now >= LEAST_GAIN_PX):
-        return before
+    found = find_bend(
+        scene.check,
+        lambda e: linear_of(c.view.T_camera_sfm @ registered.bent(e), c.view.K),
+        np.radians(s.max_bend_deg),
+        np.radians(_BEND_STEP_DEG),
+    )
+    made.figures |= {"bend_deg": 0.0, "bend_found_deg": float(np.degrees(found.rad)), "bend_std_deg": float(np.degrees(found.std_rad))}
+    unchanged = registered, scene.target.straightened(registered.bend_rad)
+    if abs(found.rad) <= SURE * found.std_rad:
+        return unchanged
+    total = registered.bend_rad + found.rad
+    target, icp = scene.target.straightened(total), replace(s.alignment.icp, bend_std_deg=float(np.degrees(found.std_rad)))
+    straightened = refine_alignment(near, target, registered.bent(found.rad), icp)
+    # What edges tell must hold for those that took no part, too.
+    was, now = (scene.check.distance_px(linear_of(c.view.T_camera_sfm @ r.T_sfm_lidar, c.view.K), True) for r in (registered, straightened))
+    if not (straightened.is_converged and now < was):
+        return unchanged
     made.figures["bend_deg"] = float(np.degrees(total))
-    return registered, target
+    return straightened, target
 
 
-# Rounds of correcting the way of the camera, by the share of the largest error that is searched; and step of the search.
-_STRAIGHTENED, _BEND_STEP_RAD = (1.0, 0.2), np.radians(0.05)
+# Step of the search for an error of the way of the camera.
+_BEND_STEP_DEG = 0.05
 
 
 def _in_camera(covariance: np.ndarray, view: View) -> np.ndarray:
@@ -398,7 +399,8 @@ def prepare_objects(
     Raises:
         CalibrationFailed: a cloud has no ground or no object. One of images without any may still be found by its points.
     """
-    found, ways = [], _ways(c, s) or (None, None)
+    found, way = [], _way_of(c, s)
+    ways = (None, None) if way is None else (way.lidar.of(np.zeros(3)), way.bearing_sfm)
     clouds = ("lidar", points_lidar, np.eye(4)), ("camera's", points_sfm, _UPRIGHT @ c.view.T_camera_sfm)
     for (name, cloud, T_guess), way in zip(clouds, ways, strict=True):
         n_near = int((np.linalg.norm(apply(T_guess, cloud)[:, :2], axis=1) < s.objects.range_m).sum())
@@ -415,22 +417,15 @@ def prepare_objects(
     return tuple(found)
 
 
-# A shorter way of the vehicle tells no direction.
-_MIN_WAY_M = 0.3
-
-
-def _ways(c: KeyframeClouds, s: CalibrationSettings) -> tuple[np.ndarray, np.ndarray] | None:
-    """Directions (3,) the vehicle moves in, frames `lidar` and `sfm`; None where they are not known or not to be used."""
-    if c.motion is None or s.motion_turn_deg >= 180:
-        return None
-    before, after = c.motion.at([-0.1, 0.1])
-    ways = after[:3, 3] - before[:3, 3], c.cameras_sfm[-1] - c.cameras_sfm[1]
-    return ways if min(np.linalg.norm(w) for w in ways) >= _MIN_WAY_M else None
+def _way_of(c: KeyframeClouds, s: CalibrationSettings) -> Way | None:
+    """The way of both sensors; None where it is not known or not to be used."""
+    icp = s.alignment.icp
+    return make_way(c.way, c.cameras_sfm, icp.way_std_m, icp.way_std_s) if s.motion_turn_deg < 180 else None
 
 
 def _narrow(c: KeyframeClouds, s: CalibrationSettings) -> AlignmentSettings:
     """The alignment's settings, its window as narrow as the motion allows."""
-    if _ways(c, s) is None:
+    if _way_of(c, s) is None:
         return s.alignment
     window = replace(s.alignment.window, turn_deg=min(s.alignment.window.turn_deg, s.motion_turn_deg))
     return replace(s.alignment, window=window)
@@ -448,8 +443,8 @@ def _align_raw(c: KeyframeClouds, s: CalibrationSettings, a: AlignmentSettings, 
         lidar, sfm = prepare_objects(c.points_lidar, c.points_sfm, c, s)
     except CalibrationFailed:
         return
-    target = prepare_target(c.points_sfm, c.cameras_sfm, c.view.K[0, 0], a.icp)
-    places = find_places(lidar, sfm, target, c.view, a, _ways(c, s) is not None)
+    target = prepare_target(c.points_sfm, c.cameras_sfm, c.view.K[0, 0], a.icp, _way_of(c, s))
+    places = find_places(lidar, sfm, target, c.view, a, target.way is not None)
     if places:
         made.raw = lidar, sfm, places[0].T_sfm_lidar
         made.stages["objects_raw"] = linear_of(c.view.T_camera_sfm @ places[0].T_sfm_lidar, c.view.K)
@@ -506,10 +501,13 @@ def _measure(
     # In the lidar's metres, as T_camera_stamp is.
     planes = apply(to_camera, straightened.points[nearest]) / scale_of(T_sfm_lidar)
     made.evidence = np.concatenate([own[rows], planes, straightened.normals[nearest] @ to_camera[:3, :3].T], axis=1)
-    check = scene.raw_check
+    # The thesis' chain is of the raw frame alone; all else is judged on all shots.
+    is_of_curves = s.final == "curves" or scene.check is scene.raw_check
+    judged = made.projection if is_of_curves else linear_of(made.T_camera_stamp, c.view.K)
     # Edges that corrected the way of the camera cannot judge it.
     judges = True if made.figures.get("bend_deg", 0.0) != 0 else None
-    made.figures |= {"edge_px": check.distance_px(made.projection), "edge_margin_px": check.margin_px(made.projection, c.view.K, judges)}
+    check = scene.raw_check if is_of_curves else scene.check
+    made.figures |= {"edge_px": check.distance_px(judged), "edge_margin_px": check.margin_px(judged, c.view.K, judges)}
     if c.T_initial is not None:
         before = c.T_initial if c.motion is None else c.T_initial @ invert(c.motion.at([c.motion.image_s])[0])
         made.figures["edge_before_px"] = check.distance_px(linear_of(before, c.view.K))
@@ -518,17 +516,18 @@ def _measure(
 
 def _compare(
     c: KeyframeClouds, s: CalibrationSettings, scene: _Scene, scale: float, before: np.ndarray, after: np.ndarray,
-    is_kept: bool | None = True,
+    is_kept: bool | None = True, seen_by: np.ufunc = np.logical_or,
 ) -> dict[str, float]:  # fmt: skip
     """What speaks for one transform (4, 4) into the camera over another: distances of the clouds, and of edges (`is_kept` of EdgeCheck).
 
     Neither may choose what it is measured on: the points are all static ones that one of the two has in view, the planes are sought anew
-    under each, and a point without any counts as far as the reach. Deviations are over bundles of directions, as neighbours err alike.
+    under each, and a point without any counts as far as the reach. Of two places that both explain what they see, the one farther ahead
+    sees more; between them it is what both have in view (`seen_by`). Deviations are over bundles of directions, as neighbours err alike.
     """
     points, reach = scene.points, s.alignment.icp.reaches_m[1]
     near = thin_points(points[c.is_static & (np.linalg.norm(points, axis=1) < s.objects.range_m)], 0.1)
     both = [invert(c.view.T_camera_sfm) @ np.diag([scale, scale, scale, 1.0]) @ T for T in (before, after)]
-    near = near[c.view.sees(apply(both[0], near)) | c.view.sees(apply(both[1], near))]
+    near = near[seen_by(*(c.view.sees(apply(T, near)) for T in both))]
     distances = np.stack([np.fmin(plane_distances(apply(T, near), scene.target, reach), reach) for T in both], axis=1)
     sums, counts = sum_bundles(near, distances)
     gain, std = paired_gain(sums, counts)

@@ -34,6 +34,7 @@ from streetscan.calibration.keyframes import Keyframe, read_keyframe_lidar
 from streetscan.calibration.linear_projection import rigid_of
 from streetscan.calibration.motion import motion_of
 from streetscan.calibration.objects import CloudObjects
+from streetscan.calibration.ways import lidar_way
 from streetscan.extrinsics import extrinsics_at
 from streetscan.frames import LidarFrame
 from streetscan.geometry import apply, invert, rotation_angle, transform
@@ -106,6 +107,8 @@ def turn_clouds(
     return replace(
         clouds, points_lidar=apply(T_turned_lidar, frame.points).astype(np.float32), time_offset_s=frame.time_offset_s,
         is_static=is_static, motion=motion_of(turned, frame.time_ns, image_time_ns), T_initial=None,
+        way=lidar_way(turned, frame.time_ns, clouds.image_times_ns, image_time_ns),
+        shots=tuple(s.turned(T_turned_lidar) for s in clouds.shots),
     )  # fmt: skip
 
 

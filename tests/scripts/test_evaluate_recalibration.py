@@ -12,7 +12,7 @@ def test_turned_lidars_are_calibrated_alike(tmp_path, toy_inputs, detectors):
     folder = tmp_path / "evaluate_recalibration" / "my_drive"
     outputs = {name: str(folder / f"{name}.csv") for name in ("trials", "sizes", "scores")} | {"figure": str(folder / "trials.png")}
     inputs = {name: str(toy_inputs[f"{name}_path"]) for name in ("drive", "keyframes", "poses")}
-    settings = {"final": "motion", "quality": {"min_edge_margin_px": -2.0}}
+    settings = {"final": "motion"}
     # A detector that believes nothing marks nothing.
     nothing = detectors["lidar_detector"] | {"choice": {"min_score": 1.0}}
     evaluate_recalibration.main(

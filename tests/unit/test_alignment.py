@@ -183,14 +183,20 @@ def test_a_wrong_way_of_the_camera_is_known_from_what_it_does_to_the_lidar():
     # The frame `sfm` has y down, as cameras have.
     T_camera = np.array([[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])
     target = prepare_target(apply(T_camera, cloud), apply(T_camera, cameras), 500.0)
-    plain = refine_alignment(lidar, target, T_camera)
-    turn = np.degrees(rotation_angle(invert(T_camera) @ plain.T_sfm_lidar))
-    assert turn > 0.1
     # It went to the left by its own account, and in truth straight on.
     bend = np.radians(-0.3)
+    # Where no error of the way is expected all of it goes into the lidar's place.
+    trusting = IcpSettings(bend_std_deg=0.0)
+    plain = refine_alignment(lidar, target, T_camera, trusting)
+    turn = np.degrees(rotation_angle(invert(T_camera) @ plain.T_sfm_lidar))
+    assert turn > 0.1
     assert np.degrees(rotation_angle(invert(T_camera) @ plain.bent(bend))) < turn / 2
-    again = refine_alignment(lidar, target.straightened(bend), plain.bent(bend))
+    again = refine_alignment(lidar, target.straightened(bend), plain.bent(bend), trusting)
     assert np.degrees(rotation_angle(invert(T_camera) @ again.T_sfm_lidar)) < 0.05
+    # Walls on both sides and ahead tell it, for it bends them.
+    told = refine_alignment(lidar, target, T_camera)
+    assert told.bend_rad == pytest.approx(bend, rel=0.3)
+    assert np.degrees(rotation_angle(invert(T_camera) @ told.T_sfm_lidar)) < 0.05
 
 
 def test_the_covariance_says_which_way_is_open():

@@ -1,15 +1,22 @@
 """Distances and edges that judge a calibration."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from streetscan.calibration.alignment import prepare_target
+from streetscan.calibration.edges import Bend, EdgeCheck, depth_edges, find_bend, make_shot, paired_gain
 from streetscan.calibration.linear_projection import linear_of
-from streetscan.calibration.quality import EdgeCheck, depth_edges, find_bend, hausdorff_distance, paired_gain, plane_distances
-from streetscan.geometry import transform
+from streetscan.calibration.quality import SURE, hausdorff_distance, plane_distances
+from streetscan.geometry import apply, invert, transform
 
 K = np.array([[400.0, 0, 320], [0, 400.0, 240], [0, 0, 1]])
 T_CAMERA_LIDAR = np.array([[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])
+
+
+def check_of(image: np.ndarray, points: np.ndarray) -> EdgeCheck:
+    return EdgeCheck([make_shot(image, points, np.eye(4))], np.eye(4))
 
 
 def board_and_wall() -> tuple[np.ndarray, np.ndarray]:
@@ -47,7 +54,7 @@ def test_depth_edges_are_the_sides_of_what_stands_before_something():
 
 def test_edges_lie_on_edges_under_the_right_calibration_alone():
     points, image = board_and_wall()
-    check = EdgeCheck(image, points)
+    check = check_of(image, points)
     right = linear_of(T_CAMERA_LIDAR, K)
     assert check.distance_px(right) < 2
     assert check.margin_px(right, K) > 0.5
@@ -61,49 +68,68 @@ def turned_by(angle_rad: float) -> np.ndarray:
     return linear_of(T_CAMERA_LIDAR @ transform(rpy_rad=(0, 0, angle_rad)), K)
 
 
+def find(check: EdgeCheck, off_deg: float = 0.0) -> Bend:
+    return find_bend(check, lambda e: turned_by(e + np.radians(off_deg)), np.radians(2), np.radians(0.05))
+
+
 def test_edges_find_the_turn_that_brings_them_together():
     points, image = boards_and_wall()
-    check = EdgeCheck(image, points)
-    for off_deg in (-0.8, 0.4, 0.6):
-        found = find_bend(check, lambda e, off=off_deg: turned_by(e + np.radians(off)), np.radians(2), np.radians(0.05))
+    for off_deg in (-0.8, 0.4, 0.0, 0.6):
+        found = find(check_of(image, points), off_deg)
         # Edges are blurred by a pixel or two.
         assert np.degrees(found.rad) == pytest.approx(-off_deg, abs=0.2)
         assert np.degrees(found.std_rad) < 0.2
-        assert found.gain_px > 0.5
-        assert found.is_clear
-    assert not find_bend(check, turned_by, np.radians(2), np.radians(0.05)).is_clear
 
 
-def test_an_image_without_edges_corrects_nothing():
+def test_an_image_without_edges_tells_nothing():
     points, image = board_and_wall()
-    for check in (EdgeCheck(np.full_like(image, 100), points), EdgeCheck(image, np.empty((0, 3)))):
-        found = find_bend(check, turned_by, np.radians(2), np.radians(0.05))
-        assert found.rad == 0.0
-        assert not found.is_clear
+    for check in (check_of(np.full_like(image, 100), points), check_of(image, np.empty((0, 3)))):
+        found = find(check)
+        assert abs(found.rad) < found.std_rad
 
 
-def test_edges_of_other_things_tell_no_turn():
+def test_edges_of_other_things_hardly_ever_tell_a_turn():
     points, _ = boards_and_wall()
-    rng = np.random.default_rng(0)
+    rng, n_told = np.random.default_rng(0), 0
     for _ in range(10):
         image = np.full((480, 640, 3), 200, np.uint8)
         for column in rng.integers(0, 620, 12):
             image[:, column : column + rng.integers(3, 20)] = 60
-        assert not find_bend(EdgeCheck(image, points), turned_by, np.radians(2), np.radians(0.05)).is_clear
+        found = find(check_of(image, points))
+        n_told += abs(found.rad) > SURE * found.std_rad
+    assert n_told <= 1
 
 
 def test_edges_kept_for_the_check_take_no_part():
     points, image = board_and_wall()
-    check, right = EdgeCheck(image, points), linear_of(T_CAMERA_LIDAR, K)
+    check, right = check_of(image, points), linear_of(T_CAMERA_LIDAR, K)
     of_all = check.distance_px(right)
     assert min(check.distance_px(right, True), check.distance_px(right, False)) <= of_all
     assert of_all <= max(check.distance_px(right, True), check.distance_px(right, False))
 
 
+def test_shots_count_together_each_from_its_own_place():
+    points, image = board_and_wall()
+    right, move = linear_of(T_CAMERA_LIDAR, K), transform([0.8, 0.1, 0], (0, 0, 0.05))
+    # The same edges in the axes of a lidar that has moved on, and an image that has not.
+    own = make_shot(image, points, np.eye(4))
+    moved = replace(own, edges=apply(invert(move), own.edges), T_image_stamp=move)
+    check = EdgeCheck([own, moved], np.eye(4))
+    assert check.n_points == 2 * len(own.edges)
+    assert check.distance_px(right) == pytest.approx(check_of(image, points).distance_px(right))
+    assert EdgeCheck([moved], np.eye(4)).distance_px(right) < 2
+    assert EdgeCheck([moved], invert(move)).distance_px(right) > 5
+    turn = transform(rpy_rad=(0.02, -0.05, 2.0))
+    turned = EdgeCheck([moved.turned(turn)], np.eye(4))
+    assert turned.distance_px(linear_of(T_CAMERA_LIDAR @ invert(turn), K)) == pytest.approx(
+        EdgeCheck([moved], np.eye(4)).distance_px(right)
+    )
+
+
 def test_no_edge_in_view_is_no_number():
     points, image = board_and_wall()
     behind = linear_of(T_CAMERA_LIDAR @ transform(rpy_rad=(0, 0, np.pi)), K)
-    assert np.isnan(EdgeCheck(image, points).distance_px(behind))
+    assert np.isnan(check_of(image, points).distance_px(behind))
 
 
 def test_a_gain_is_paired_over_bundles():

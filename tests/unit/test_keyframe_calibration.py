@@ -21,8 +21,7 @@ from streetscan.calibration.quality import QualitySettings
 from streetscan.errors import BadInput
 from streetscan.geometry import invert, rotation_angle, transform
 
-# Outlines in the toy's picture are blurred by two pixels: the edge check is tested on its own.
-SETTINGS = CalibrationSettings(final="motion", objects=ObjectSettings(range_m=30.0), quality=QualitySettings(min_edge_margin_px=-2.0))
+SETTINGS = CalibrationSettings(final="motion", objects=ObjectSettings(range_m=30.0))
 
 
 @pytest.fixture(scope="module")
