@@ -438,7 +438,7 @@ class _Linear:
     weights: np.ndarray
 
     def normal_equations(self, centre: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """H (8, 8) and b (8,) of the planes and the way: a turn and a shift about a centre, a growth, and the camera's error of the way."""
+        """H (8, 8) and b (8,) of the planes: a turn and a shift about a centre, a growth, and the camera's error of the way."""
         normals, bends = self.target.normals[self.rows], self.target.bends[self.rows]
         J = np.c_[_jacobian(self.moved - centre, normals), bends]
         return (J * self.weights[:, None]).T @ J / _CORRELATED, (J * self.weights[:, None]).T @ self.errors / _CORRELATED
@@ -455,8 +455,8 @@ class _Linear:
 def _solve(linear: _Linear, T: np.ndarray, bend_rad: float, s: IcpSettings) -> tuple[np.ndarray, float]:
     """The small similarity (4, 4) that brings the weighted points onto the planes best, and the camera's error of the way.
 
-    The scale is drawn towards 1, and the error of the way, which planes tell a little and the lidar's way more, towards none; with
-    `is_scaled` False both stay as they are.
+    The scale is drawn towards 1, or stays as it is (`is_scaled`), and the error of the way, which planes tell a little and the lidar's way
+    more, is drawn towards none.
     """
     centre = linear.moved.mean(axis=0)
     H, b = linear.normal_equations(centre)
@@ -468,8 +468,9 @@ def _solve(linear: _Linear, T: np.ndarray, bend_rad: float, s: IcpSettings) -> t
     b[6] += scale * (scale - 1) / s.scale_std**2
     H[7, 7] += std_rad**-2
     b[7] += bend_rad / std_rad**2
-    n = 8 if s.is_scaled else 6
-    x = np.append(np.linalg.solve(H[:n, :n], -b[:n]), np.zeros(8 - n))
+    free = np.array([True] * 6 + [s.is_scaled, True])
+    x = np.zeros(8)
+    x[free] = np.linalg.solve(H[np.ix_(free, free)], -b[free])
     return _step(x[:7], centre), bend_rad + float(x[7])
 
 
@@ -488,6 +489,7 @@ def _jacobian(arms: np.ndarray, normals: np.ndarray) -> np.ndarray:
 def _open_ways(linear: _Linear, s: IcpSettings) -> tuple[np.ndarray, np.ndarray]:
     """`Registration.response` and `covariance`; a direction no plane holds is known to a kilometre."""
     H, b = linear.normal_equations(np.zeros(3))
+    # How far the way is off does not change how much it tells.
     linear.add_way(H, b, np.eye(4), 0.0)
     known = H[:7, :7] + np.diag([*np.full(3, 1e-2), *np.full(3, 1e-6), s.scale_std**-2])
     response = -np.linalg.solve(known, H[:7, 7])

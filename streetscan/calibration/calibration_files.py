@@ -31,8 +31,8 @@ from streetscan.registration.odometry import FramePose
 # Numbers of a keyframe in its row; those its status did not let be found are empty.
 FIGURES = (
     "n_lidar_objects", "n_sfm_objects", "n_lidar_voxels", "n_sfm_voxels", "n_lidar_columns", "n_places", "n_rivals", "n_matched", "n_icp",
-    "icp_rmse_m", "scale", "way_off_deg", "bend_deg", "bend_found_deg", "bend_std_deg",
-    "median_distance_m", "hausdorff_m", "sigma_x_px", "sigma_y_px", "edge_px", "edge_before_px", "edge_margin_px",
+    "icp_rmse_m", "scale", "way_off_deg", "bend_icp_deg", "bend_deg", "bend_found_deg", "bend_std_deg",
+    "median_distance_m", "hausdorff_m", "sigma_x_px", "sigma_y_px", "n_shots", "edge_px", "edge_before_px", "edge_margin_px",
     "distance_before_m", "distance_after_m", "gain_m", "gain_std_m", "edge_gain_px", "edge_gain_std_px",
 )  # fmt: skip
 SECONDS = ("raw", "objects", "alignment", "icp", "curves", "motion", "quality")
@@ -41,7 +41,7 @@ _MEANING = {
     "T_camera_lidar": "p_camera = T_camera_lidar @ p_lidar, sensors as mounted, metres",
     "T_camera_stamp": "the same for the lidar at its stamp and the camera at the image's: with the motion between them",
 }
-_COVARIANCE = "of T_camera_stamp as far as the clouds tell: rotation vector (rad) and shift (m) in the camera's axes"
+_COVARIANCE = "of T_camera_stamp as far as clouds and way tell: rotation vector (rad) and shift (m) in the camera's axes"
 
 
 def read_clouds(
@@ -94,11 +94,12 @@ def read_shots(drive_path: str | Path, keyframe: Keyframe, images: Sequence[np.n
     times_ns, shots = np.array(keyframe.image_times_ns), []
     for frame in iterate_lidar(drive_path, int(times_ns[0] - _BESIDE_NS), int(times_ns[-1] + _BESIDE_NS + 1)):
         nearest = int(np.abs(times_ns - frame.time_ns).argmin())
-        motion = motion_of(poses, frame.time_ns, int(times_ns[nearest]))
-        if motion is None or frame.time_offset_s is None:
+        motion, way = motion_of(poses, frame.time_ns, int(times_ns[nearest])), motion_of(poses, keyframe.lidar_time_ns, frame.time_ns)
+        is_beside = abs(times_ns[nearest] - frame.time_ns) <= _BESIDE_NS
+        if not is_beside or motion is None or way is None or frame.time_offset_s is None:
             continue
         points = motion.deskew(frame.points, frame.time_offset_s)
-        shots.append(make_shot(images[nearest], points, invert(motion.at([motion.image_s])[0])))
+        shots.append(make_shot(images[nearest], points, invert(motion.at([motion.image_s])[0]), way.at([way.image_s])[0]))
     return tuple(shots)
 
 

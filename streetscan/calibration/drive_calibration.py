@@ -55,7 +55,7 @@ class KeyframeResult:
         T_camera_stamp: (4, 4) of its calibration, or None.
         motion: of the lidar, or None.
         evidence: (P, 9) of its calibration.
-        covariance: (6, 6) of T_camera_stamp as far as its clouds tell: a turn and a shift in the camera's axes.
+        covariance: (6, 6) of T_camera_stamp as far as its clouds and way tell: a turn and a shift in the camera's axes.
     """
 
     index: int

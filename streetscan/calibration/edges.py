@@ -22,28 +22,32 @@ class Shot:
         distance: (H, W) float32, pixels to the nearest edge of the image.
         edges: (M, 3) depth edges of the lidar frame, frame `lidar` at its stamp.
         T_image_stamp: (4, 4) the lidar at the frame's stamp, seen from where it was when the image was taken.
+        T_keyframe_stamp: (4, 4) the same seen from where it was at the keyframe's stamp; tells which edges are of one thing.
     """
 
     distance: np.ndarray
     edges: np.ndarray
     T_image_stamp: np.ndarray
+    T_keyframe_stamp: np.ndarray
 
     def turned(self, T_turned_lidar: np.ndarray) -> "Shot":
         """The shot of a lidar mounted turned (4, 4)."""
-        return replace(
-            self, edges=apply(T_turned_lidar, self.edges), T_image_stamp=T_turned_lidar @ self.T_image_stamp @ invert(T_turned_lidar)
-        )
+        moves = {name: T_turned_lidar @ getattr(self, name) @ invert(T_turned_lidar) for name in ("T_image_stamp", "T_keyframe_stamp")}
+        return replace(self, edges=apply(T_turned_lidar, self.edges), **moves)
 
 
-def make_shot(image: np.ndarray, points_lidar: np.ndarray, T_image_stamp: np.ndarray) -> Shot:
-    """The shot of an image (H, W, 3) uint8 RGB, rectified, and a lidar frame's points (N, 3), raw or freed of motion.
+_HERE = np.eye(4)
+
+
+def make_shot(image: np.ndarray, points_lidar: np.ndarray, T_image_stamp: np.ndarray, T_keyframe_stamp: np.ndarray = _HERE) -> Shot:
+    """The shot of an image (H, W, 3) uint8 RGB, rectified, and a lidar frame's points (N, 3), raw or freed of motion; see `Shot`.
 
     ASSUME: a lidar's edges are the left and right sides of things, so image edges that run more across than up are left out.
     """
     grey = cv2.GaussianBlur(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), (0, 0), 1.0)
     across, down = (np.abs(cv2.Sobel(grey, cv2.CV_32F, *order)) for order in ((1, 0), (0, 1)))
     edges = np.where(across > down, cv2.Canny(grey, 40, 100), 0).astype(np.uint8)
-    return Shot(cv2.distanceTransform(255 - edges, cv2.DIST_L2, 5), depth_edges(points_lidar), T_image_stamp)
+    return Shot(cv2.distanceTransform(255 - edges, cv2.DIST_L2, 5), depth_edges(points_lidar), T_image_stamp, T_keyframe_stamp)
 
 
 _DEFAULT = QualitySettings()
@@ -54,8 +58,8 @@ class EdgeCheck:
 
     One image has many edges that are none of the lidar's, and what they have by chance is at another place in the next, some metres on.
 
-    The lidar's edges are split into bundles of directions, every other of which is kept for the check (`is_kept`) and takes no part in
-    any estimate.
+    The lidar's edges are split into bundles of directions from where it was at the keyframe's stamp, so that what one thing shows in
+    several shots is of one bundle; every other bundle is kept for the check (`is_kept`) and takes no part in any estimate.
 
     Projections (3, 4) are those of the lidar's points at the stamp of the keyframe, raw or freed of motion as the shots' are.
     """
@@ -71,11 +75,18 @@ class EdgeCheck:
         self._moves = [T_stamp_image @ s.T_image_stamp for s in self._shots]
         self._points = np.concatenate([s.edges for s in self._shots])
         self._starts = np.cumsum([0] + [len(s.edges) for s in self._shots])
-        self._is_kept = bundles_of(self._points) % 2 == 1
+        # In the keyframe's frame.
+        self._places = np.concatenate([apply(s.T_keyframe_stamp, s.edges) for s in self._shots])
+        self._is_kept = bundles_of(self._places) % 2 == 1
+
+    @property
+    def n_shots(self) -> int:
+        """Shots that show any depth edge."""
+        return sum(len(s.edges) > 0 for s in self._shots)
 
     @property
     def n_points(self) -> int:
-        """Depth edges of the frame."""
+        """Depth edges of all shots."""
         return len(self._points)
 
     def distance_px(self, projection: np.ndarray, is_kept: bool | None = None) -> float:
@@ -108,7 +119,7 @@ class EdgeCheck:
         """
         distances = np.stack([self._distances(p) for p in projections], axis=1)
         seen = self._chosen(is_kept) & np.isfinite(distances).all(axis=1)
-        return sum_bundles(self._points[seen], distances[seen])
+        return sum_bundles(self._places[seen], distances[seen])
 
     def margin_px(self, projection: np.ndarray, K: np.ndarray, is_kept: bool | None = None) -> float:
         """By how much the mean distance of edges grows when the camera is turned to the left, or to the right if that is less.
@@ -179,9 +190,12 @@ def find_bend(check: EdgeCheck, projection_of: Callable[[float], np.ndarray], ma
     sums, counts = check.sum_bundles([projection_of(e) for e in errors], False)
     if len(counts) < 2:
         return Bend(0.0, np.inf)
+    mean = sums.sum(axis=0) / counts.sum()
+    if np.ptp(mean) < 1e-9:
+        return Bend(0.0, np.inf)
     # ASSUME: of errors alike, the smaller.
     prior = _HELD_PX * (errors / max_rad) ** 2
-    costs = _smooth(sums.sum(axis=0) / counts.sum()) + prior
+    costs = _smooth(mean) + prior
     k = int(costs.argmin())
     if not 0 < k < len(errors) - 1:
         return Bend(0.0, np.inf)

@@ -39,7 +39,7 @@ from streetscan.calibration.linear_projection import LinearProjection, View, cam
 from streetscan.calibration.motion import LidarMotion
 from streetscan.calibration.objects import CloudObjects, ObjectSettings, count_columns, find_level, find_objects
 from streetscan.calibration.quality import SURE, QualitySettings, hausdorff_distance, judge_gain, plane_distances
-from streetscan.calibration.ways import LidarWay, Way, make_way
+from streetscan.calibration.ways import MIN_WAY_M, LidarWay, Way, make_way
 from streetscan.errors import BadInput
 from streetscan.geometry import apply, invert, rotation_angle, transform, transform_of_rotation
 from streetscan.registration.ndt import thin_points
@@ -111,9 +111,9 @@ class KeyframeClouds:
         motion: of the lidar, or None.
         T_initial: (4, 4) T_camera_lidar in force, or None.
         scale_std: deviation of the dense points' scale from 1, as the lidar's motion tells it; 0 adds nothing to that of the settings.
-        image_times_ns: of the cameras, in the order of time.
+        image_times_ns: of `cameras_sfm` from the second on.
         way: of the lidar while the images were taken, or None.
-        shots: images of the keyframe, each with the lidar frame nearest in time; empty where the lidar's motion is not known.
+        shots: lidar frames of the keyframe, each with the image nearest in time; empty where the lidar's motion is not known.
     """
 
     points_lidar: np.ndarray
@@ -142,12 +142,13 @@ class KeyframeCalibration:
         projection: (3, 4) of the raw lidar frame; given for refused ones too, where there is one.
         T_camera_lidar: (4, 4) rigid, of the sensors on the vehicle, the image's stamp taken as it is.
         T_camera_stamp: (4, 4) the same before the motion between the stamps was taken out.
-        covariance: (6, 6) of T_camera_stamp as far as the clouds tell: a turn (rotation vector, rad) and a shift (m) in the camera's axes.
+        covariance: (6, 6) of T_camera_stamp as far as clouds and way tell: turn (rotation vector, rad) and shift (m) in the camera's axes.
         stages: name of a stage to its projection (3, 4).
         residuals_px: (N, 2) of the points the final projection was fitted to.
         figures: numbers by name, for the table.
         evidence: (P, 9) points of matched objects freed of motion (frame `lidar`), the camera's nearest points and their normals (frame
             of the camera at the reference image).
+        bend_rad: error of the way of the camera, to its right, that its cloud was corrected by: of ICP and of edges.
         lidar, sfm: objects of the two clouds.
         raw: the same with all that moves left in, and the T_sfm_lidar (4, 4) found with them; None where there is nothing to compare.
         alignment, control, curves: of the stages.
@@ -164,6 +165,7 @@ class KeyframeCalibration:
     residuals_px: np.ndarray = field(default_factory=lambda: np.empty((0, 2)))
     figures: dict[str, float] = field(default_factory=dict)
     evidence: np.ndarray = field(default_factory=lambda: np.empty((0, 9)))
+    bend_rad: float = 0.0
     lidar: CloudObjects | None = None
     sfm: CloudObjects | None = None
     raw: tuple[CloudObjects, CloudObjects, np.ndarray] | None = None
@@ -188,7 +190,7 @@ def calibrate_keyframe(clouds: KeyframeClouds, settings: CalibrationSettings = C
     settings = replace(settings, alignment=replace(settings.alignment, icp=_know_cloud(settings.alignment.icp, clouds)))
     try:
         scene = _prepare(clouds, settings, made, clock)
-        places = find_places(made.lidar, made.sfm, scene.target, clouds.view, scene.alignment, scene.target.way is not None)
+        places = find_places(made.lidar, made.sfm, scene.target, clouds.view, scene.alignment, _bearings(clouds, settings) is not None)
         clock.stop("alignment")
         if not places:
             raise CalibrationFailed("no_match", f"the clouds overlap nowhere by {100 * scene.alignment.min_overlap:.0f} %")
@@ -203,7 +205,7 @@ def calibrate_keyframe(clouds: KeyframeClouds, settings: CalibrationSettings = C
 
 def _know_cloud(icp: IcpSettings, c: KeyframeClouds) -> IcpSettings:
     """The deviations of the camera's cloud: of its scale as the lidar's motion leaves it, and of a way as long as the camera's."""
-    way_m = max(1.0, float(np.linalg.norm(c.cameras_sfm[-1] - c.cameras_sfm[1])))
+    way_m = max(MIN_WAY_M, float(np.linalg.norm(c.cameras_sfm[-1] - c.cameras_sfm[1])))
     return replace(icp, scale_std=float(np.hypot(icp.scale_std, c.scale_std)), bend_std_deg=icp.bend_std_deg / way_m)
 
 
@@ -212,13 +214,15 @@ def choose_place(
 ) -> KeyframeCalibration:
     """Of the places that pass the one whose edges lie nearest, refused if another is as good; where none passes, the first place's refusal.
 
+    What clouds leave open where a place is right they may not where it is wrong, since less of them is compared there; so a place that is
+    `uncertain` can be as good, too.
+
     Args:
         tried: the calibration at each place, the most overlap first.
         outdoes: whether the first calibration explains clouds and image clearly better than the second.
     """
     passing = [m for m in tried if m.status == "ok"]
     best = min(passing, key=lambda m: m.figures["edge_px"]) if passing else tried[0]
-    # What the clouds leave open at the right place they may not at a wrong one, where less of them is compared.
     others = [m for m in tried if passing and m.status in ("ok", "uncertain")]
     rivals = [m for m in others if is_apart(m.T_camera_stamp, best.T_camera_stamp, *_RIVAL) and not outdoes(best, m)]
     best.figures |= {"n_places": len(tried), "n_rivals": len(rivals)}
@@ -236,7 +240,9 @@ _RIVAL = 0.3, np.radians(1.0)
 def _outdoes(c: KeyframeClouds, s: CalibrationSettings, scene: "_Scene", a: KeyframeCalibration, b: KeyframeCalibration) -> bool:
     """Whether clouds or edges speak for calibration a over b by more than their noise, and neither against it."""
     is_straight = a.figures.get("bend_deg", 0.0) == b.figures.get("bend_deg", 0.0) == 0
-    told = _compare(c, s, scene, 1 / a.figures["scale"], b.T_camera_stamp, a.T_camera_stamp, None if is_straight else True, np.logical_and)
+    targets = [scene.target.straightened(m.bend_rad) for m in (b, a)]
+    places = (b.T_camera_stamp, a.T_camera_stamp)
+    told = _compare(c, s, scene, 1 / a.figures["scale"], places, targets, None if is_straight else True, np.logical_and)
     says = [(told["edge_gain_px"], SURE * told["edge_gain_std_px"])]
     # A cloud that edges have corrected has no say.
     if is_straight:
@@ -313,16 +319,17 @@ def _register(c: KeyframeClouds, s: CalibrationSettings, scene: _Scene, made: Ke
     registered, near = raw, scene.points[scene.takes_part]
     if scene.points is not c.points_lidar:
         registered = refine_alignment(near, target, raw.T_sfm_lidar, icp)
-        target = target.straightened(registered.bend_rad)
         moving = _fit_raw(c, scene.points, registered.T_sfm_lidar)
         if moving is not None:
             made.stages["motion"] = moving.projection
             final = moving if s.final != "curves" or final is None else final
         if s.final == "edges" and registered.is_converged:
-            registered, target = _straighten(c, s, near, registered, scene, made)
+            registered = _straighten(c, s, near, registered, scene, made)
             moving = _fit_raw(c, scene.points, registered.T_sfm_lidar)
             if moving is not None:
                 made.stages["edges"], final = moving.projection, moving
+    made.bend_rad, target = registered.bend_rad, target.straightened(registered.bend_rad)
+    made.figures["bend_icp_deg"] = float(np.degrees(registered.bend_rad)) - made.figures.get("bend_deg", 0.0)
     made.T_camera_stamp, made.covariance = camera_of(view, registered.T_sfm_lidar), _in_camera(registered.covariance, view)
     made.T_camera_lidar = made.T_camera_stamp if c.motion is None else c.motion.to_image(made.T_camera_stamp)
     made.figures |= {"icp_rmse_m": registered.rmse_m, "n_icp": registered.n_pairs, "scale": 1 / scale_of(registered.T_sfm_lidar)}
@@ -341,11 +348,11 @@ def _register(c: KeyframeClouds, s: CalibrationSettings, scene: _Scene, made: Ke
 
 def _straighten(
     c: KeyframeClouds, s: CalibrationSettings, near: np.ndarray, registered: Registration, scene: _Scene, made: KeyframeCalibration
-) -> tuple[Registration, PlaneTarget]:
-    """The registration after the way of the camera is corrected by image edges, and the camera's cloud as it then is.
+) -> Registration:
+    """The registration after the way of the camera is corrected by image edges, too; its `bend_rad` is the whole correction.
 
     Beyond the thesis. Structure from motion hardly tells a turn of all images from a way to the side; the street then comes out turned
-    against the images, and no registration of clouds can see it. In the image itself the sides of posts and houses do.
+    against the images, and registration of clouds sees little of it. In the image itself the sides of posts and houses do.
 
     A correction is made only where edges tell it from none; a street whose edges are everywhere has many places where some do.
     """
@@ -356,18 +363,16 @@ def _straighten(
         np.radians(_BEND_STEP_DEG),
     )
     made.figures |= {"bend_deg": 0.0, "bend_found_deg": float(np.degrees(found.rad)), "bend_std_deg": float(np.degrees(found.std_rad))}
-    unchanged = registered, scene.target.straightened(registered.bend_rad)
     if abs(found.rad) <= SURE * found.std_rad:
-        return unchanged
-    total = registered.bend_rad + found.rad
-    target, icp = scene.target.straightened(total), replace(s.alignment.icp, bend_std_deg=float(np.degrees(found.std_rad)))
-    straightened = refine_alignment(near, target, registered.bent(found.rad), icp)
+        return registered
+    start, icp = registered.bend_rad + found.rad, replace(s.alignment.icp, bend_std_deg=float(np.degrees(found.std_rad)))
+    again = refine_alignment(near, scene.target.straightened(start), registered.bent(found.rad), icp)
     # What edges tell must hold for those that took no part, too.
-    was, now = (scene.check.distance_px(linear_of(c.view.T_camera_sfm @ r.T_sfm_lidar, c.view.K), True) for r in (registered, straightened))
-    if not (straightened.is_converged and now < was):
-        return unchanged
-    made.figures["bend_deg"] = float(np.degrees(total))
-    return straightened, target
+    was, now = (scene.check.distance_px(linear_of(c.view.T_camera_sfm @ r.T_sfm_lidar, c.view.K), True) for r in (registered, again))
+    if not (again.is_converged and now < was):
+        return registered
+    made.figures["bend_deg"] = float(np.degrees(found.rad + again.bend_rad))
+    return replace(again, bend_rad=start + again.bend_rad)
 
 
 # Step of the search for an error of the way of the camera.
@@ -399,10 +404,9 @@ def prepare_objects(
     Raises:
         CalibrationFailed: a cloud has no ground or no object. One of images without any may still be found by its points.
     """
-    found, way = [], _way_of(c, s)
-    ways = (None, None) if way is None else (way.lidar.of(np.zeros(3)), way.bearing_sfm)
+    found, bearings = [], _bearings(c, s) or (None, None)
     clouds = ("lidar", points_lidar, np.eye(4)), ("camera's", points_sfm, _UPRIGHT @ c.view.T_camera_sfm)
-    for (name, cloud, T_guess), way in zip(clouds, ways, strict=True):
+    for (name, cloud, T_guess), bearing in zip(clouds, bearings, strict=True):
         n_near = int((np.linalg.norm(apply(T_guess, cloud)[:, :2], axis=1) < s.objects.range_m).sum())
         if n_near == 0:
             raise CalibrationFailed("too_few_objects", f"the {name} cloud has no point within {s.objects.range_m:g} m")
@@ -410,7 +414,7 @@ def prepare_objects(
         if not np.isfinite(T).all():
             raise CalibrationFailed("no_ground", f"the {name} cloud has {n_near} points within {s.objects.range_m:g} m, none of them flat")
         # x of the level frame is the way both sensors go, so that what is left to turn is small.
-        T = transform(rpy_rad=(0, 0, -_heading(T, way))) @ T if way is not None else T
+        T = transform(rpy_rad=(0, 0, -_heading(T, bearing))) @ T if bearing is not None else T
         found.append(find_objects(cloud, T, s.objects))
         if len(found[-1]) == 0 and (name == "lidar" or not s.alignment.is_searched):
             raise CalibrationFailed("too_few_objects", f"no object in the {name} cloud within {s.objects.range_m:g} m")
@@ -423,9 +427,22 @@ def _way_of(c: KeyframeClouds, s: CalibrationSettings) -> Way | None:
     return make_way(c.way, c.cameras_sfm, icp.way_std_m, icp.way_std_s) if s.motion_turn_deg < 180 else None
 
 
+def _bearings(c: KeyframeClouds, s: CalibrationSettings) -> tuple[np.ndarray, np.ndarray] | None:
+    """Directions (3,) the vehicle goes in, frames `lidar` and `sfm`; None where they are not known or not to be used."""
+    way = _way_of(c, s)
+    if way is not None:
+        return way.lidar.of(np.zeros(3)), way.bearing_sfm
+    if c.motion is None or s.motion_turn_deg >= 180:
+        return None
+    # Frames are missing during the keyframe, not beside its lidar frame: that is enough to search in.
+    before, after = c.motion.at([-0.1, 0.1])
+    bearings = after[:3, 3] - before[:3, 3], c.cameras_sfm[-1] - c.cameras_sfm[1]
+    return bearings if min(np.linalg.norm(b) for b in bearings) >= MIN_WAY_M else None
+
+
 def _narrow(c: KeyframeClouds, s: CalibrationSettings) -> AlignmentSettings:
     """The alignment's settings, its window as narrow as the motion allows."""
-    if _way_of(c, s) is None:
+    if _bearings(c, s) is None:
         return s.alignment
     window = replace(s.alignment.window, turn_deg=min(s.alignment.window.turn_deg, s.motion_turn_deg))
     return replace(s.alignment, window=window)
@@ -444,7 +461,7 @@ def _align_raw(c: KeyframeClouds, s: CalibrationSettings, a: AlignmentSettings, 
     except CalibrationFailed:
         return
     target = prepare_target(c.points_sfm, c.cameras_sfm, c.view.K[0, 0], a.icp, _way_of(c, s))
-    places = find_places(lidar, sfm, target, c.view, a, target.way is not None)
+    places = find_places(lidar, sfm, target, c.view, a, _bearings(c, s) is not None)
     if places:
         made.raw = lidar, sfm, places[0].T_sfm_lidar
         made.stages["objects_raw"] = linear_of(c.view.T_camera_sfm @ places[0].T_sfm_lidar, c.view.K)
@@ -507,18 +524,24 @@ def _measure(
     # Edges that corrected the way of the camera cannot judge it.
     judges = True if made.figures.get("bend_deg", 0.0) != 0 else None
     check = scene.raw_check if is_of_curves else scene.check
-    made.figures |= {"edge_px": check.distance_px(judged), "edge_margin_px": check.margin_px(judged, c.view.K, judges)}
+    made.figures |= {
+        "n_shots": check.n_shots,
+        "edge_px": check.distance_px(judged),
+        "edge_margin_px": check.margin_px(judged, c.view.K, judges),
+    }
     if c.T_initial is not None:
         before = c.T_initial if c.motion is None else c.T_initial @ invert(c.motion.at([c.motion.image_s])[0])
         made.figures["edge_before_px"] = check.distance_px(linear_of(before, c.view.K))
-        made.figures |= _compare(c, s, scene, scale_of(T_sfm_lidar), before, made.T_camera_stamp)
+        made.figures |= _compare(c, s, scene, scale_of(T_sfm_lidar), (before, made.T_camera_stamp), (straightened, straightened))
 
 
 def _compare(
-    c: KeyframeClouds, s: CalibrationSettings, scene: _Scene, scale: float, before: np.ndarray, after: np.ndarray,
+    c: KeyframeClouds, s: CalibrationSettings, scene: _Scene, scale: float, places: Sequence[np.ndarray], targets: Sequence[PlaneTarget],
     is_kept: bool | None = True, seen_by: np.ufunc = np.logical_or,
 ) -> dict[str, float]:  # fmt: skip
     """What speaks for one transform (4, 4) into the camera over another: distances of the clouds, and of edges (`is_kept` of EdgeCheck).
+
+    Each is measured on the camera's cloud as its own registration has corrected it (`targets`).
 
     Neither may choose what it is measured on: the points are all static ones that one of the two has in view, the planes are sought anew
     under each, and a point without any counts as far as the reach. Of two places that both explain what they see, the one farther ahead
@@ -526,12 +549,14 @@ def _compare(
     """
     points, reach = scene.points, s.alignment.icp.reaches_m[1]
     near = thin_points(points[c.is_static & (np.linalg.norm(points, axis=1) < s.objects.range_m)], 0.1)
-    both = [invert(c.view.T_camera_sfm) @ np.diag([scale, scale, scale, 1.0]) @ T for T in (before, after)]
+    both = [invert(c.view.T_camera_sfm) @ np.diag([scale, scale, scale, 1.0]) @ T for T in places]
     near = near[seen_by(*(c.view.sees(apply(T, near)) for T in both))]
-    distances = np.stack([np.fmin(plane_distances(apply(T, near), scene.target, reach), reach) for T in both], axis=1)
+    distances = np.stack(
+        [np.fmin(plane_distances(apply(T, near), target, reach), reach) for T, target in zip(both, targets, strict=True)], axis=1
+    )
     sums, counts = sum_bundles(near, distances)
     gain, std = paired_gain(sums, counts)
-    edges = scene.check.sum_bundles([linear_of(T, c.view.K) for T in (before, after)], is_kept)
+    edges = scene.check.sum_bundles([linear_of(T, c.view.K) for T in places], is_kept)
     edge_gain, edge_std = paired_gain(*edges)
     means = sums.sum(axis=0) / counts.sum() if len(counts) else np.full(2, np.nan)
     told = {"distance_before_m": means[0], "distance_after_m": means[1], "gain_m": gain, "gain_std_m": std}
@@ -579,8 +604,9 @@ def _judge(made: KeyframeCalibration, q: QualitySettings) -> None:
         raise CalibrationFailed("uncertain", f"a deviation of {f['sigma_x_px']:.1f} px of at most {q.max_sigma_px:g} px")
     if not f["edge_px"] < q.max_edge_px:
         raise CalibrationFailed("no_edges", "no image edge is near any edge that the lidar sees, or it sees none")
-    if not f["edge_margin_px"] >= q.min_edge_margin_px:
-        found = f"turned one way, edges lie {f['edge_margin_px']:.2f} px farther, asked for {q.min_edge_margin_px:g} px"
+    least_px = q.least_margin_px(f["n_shots"])
+    if not f["edge_margin_px"] >= least_px:
+        found = f"turned one way, edges lie {f['edge_margin_px']:.2f} px farther, asked for {least_px:g} px"
         raise CalibrationFailed("edges_disagree", found)
     if "gain_m" in f and not all(judge_gain(f, q).values()):
         raise CalibrationFailed(

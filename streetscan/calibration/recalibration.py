@@ -102,6 +102,8 @@ def turn_clouds(
         T_turned_lidar: (4, 4) a turn.
         poses: of register_frames.
         image_time_ns: stamp of the image that counts.
+
+    ASSUME: depth edges are found in the untilted frames and turned then; a tilt of some degrees hardly changes where they are.
     """
     turned = [replace(p, T_segment_lidar=p.T_segment_lidar @ invert(T_turned_lidar)) if p.is_posed else p for p in poses]
     return replace(

@@ -44,7 +44,7 @@ class LidarWay:
 
     @property
     def turn_rad_per_s(self) -> float:
-        """How fast the lidar turned."""
+        """How fast the lidar turned, from the first to the last image."""
         return float(rotation_angle(invert(self.T_stamp_first) @ self.T_stamp_last)) / max(self.duration_s, 1e-3)
 
 
@@ -61,9 +61,9 @@ def lidar_way(poses: list[FramePose], lidar_time_ns: int, image_times_ns: Sequen
         return None
     times_s = np.array([lidar_time_ns, image_times_ns[0], image_times_ns[-1], image_time_ns]) / 1e9
     try:
-        # All of one segment, or they are in different frames.
-        near_poses(poses, times_s.min(), times_s.max(), _MARGIN_S)
-        stamp, *others = (_pose_at(poses, t) for t in times_s)
+        # All of one segment: others are in other frames.
+        own = near_poses(poses, times_s.min(), times_s.max(), _MARGIN_S)
+        stamp, *others = (_pose_at(own, t) for t in times_s)
     except NoScale:
         return None
     return LidarWay(*(invert(stamp) @ T for T in others), float(times_s[2] - times_s[1]))

@@ -18,6 +18,7 @@ def test_the_calibration_is_written_with_its_verdict(calibrated):
     row = pd.read_csv(calibrated["summary_path"], dtype={"keyframe": str}).iloc[0]
     assert (row.keyframe, row.status) == ("00", "ok")
     assert row.n_matched >= 4
+    assert row.n_shots == 1
 
 
 def test_the_pictures_are_drawn(calibrated):

@@ -65,18 +65,27 @@ def test_a_way_that_is_not_known_is_none():
     for pose in parted[11:]:
         pose.segment = 1
     assert lidar_way(parted, STAMP_NS, IMAGES_NS, IMAGES_NS[0]) is None
+    # A break before the first image parts nothing; poses before it are of another frame.
+    parted = lidar_poses()
+    for pose in parted[:7]:
+        pose.segment, pose.T_segment_lidar = 1, transform([0, 50, 0]) @ pose.T_segment_lidar
+    later = [t + 300_000_000 for t in IMAGES_NS]
+    found = lidar_way(parted, STAMP_NS + 300_000_000, later, later[0])
+    np.testing.assert_allclose(found.of(np.zeros(3)), [0.7 * SPEED_MPS, 0, 0], atol=1e-6)
     lidar = lidar_way(lidar_poses(), STAMP_NS, IMAGES_NS, IMAGES_NS[0])
+    assert make_way(lidar, np.array([[0, 0, 0], [0, 0, 0], [0, 0, 0.2]]), 0.005, 0.03) is None
     assert make_way(lidar, np.zeros((9, 3)), 0.005, 0.03) is None
     assert make_way(None, np.eye(3), 0.005, 0.03) is None
 
 
-def test_a_road_alone_takes_its_yaw_from_the_way():
+@pytest.mark.parametrize("is_scaled", [True, False])
+def test_a_road_alone_takes_its_yaw_from_the_way(is_scaled):
     # An even road holds height, roll and pitch; of the yaw it tells nothing.
     rng = np.random.default_rng(0)
     road = np.c_[rng.uniform(2, 30, 20_000), rng.uniform(-8, 8, 20_000), np.full(20_000, -1.7)]
     way, T = way_of(lidar_poses())
     cameras = np.array([np.zeros(3), *np.outer(np.arange(8), way.bearing_sfm / 7)])
-    settings = IcpSettings(is_scaled=True)
+    settings = IcpSettings(is_scaled=is_scaled)
     start = transform_of_rotation(transform(rpy_rad=(0, np.radians(0.8), 0))[:3, :3]) @ T
     found = {}
     for name, own in (("without", None), ("with", way)):

@@ -4,8 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 from toy_calibration import T_CAMERA_LIDAR, changed, toy_keyframe
 
+from streetscan.calibration.alignment import AlignmentSettings, IcpSettings
 from streetscan.calibration.keyframe_calibration import (
     CalibrationFailed,
     CalibrationSettings,
@@ -206,6 +208,34 @@ def test_a_second_place_that_fits_as_well_makes_it_ambiguous():
 def test_where_no_place_passes_the_first_tells_why():
     tried = [at_place(0.0, 2.0, "far_apart"), at_place(4.0, 1.0, "uncertain")]
     assert choose_place(tried, never) is tried[0]
+
+
+def test_a_place_the_clouds_leave_open_can_be_as_good():
+    tried = [at_place(0.0, 2.0), at_place(4.0, 2.5, "uncertain"), at_place(9.0, 2.5, "far_apart")]
+    assert (choose_place(tried, never).status, tried[0].figures["n_rivals"]) == ("ambiguous", 1)
+
+
+def test_a_cloud_that_is_bent_is_compared_as_it_was_corrected():
+    # The camera believes to go 0.5 degrees to the left, and takes depths from that.
+    toy, bend = toy_keyframe(), np.radians(0.5)
+    points, right = toy.clouds.points_sfm, toy.clouds.cameras_sfm[-1]
+    believed = Rotation.from_rotvec([0, -bend, 0]).apply(right)
+    rays = points / np.linalg.norm(points, axis=1, keepdims=True)
+    ratio = np.linalg.norm(np.cross(rays, believed), axis=1) / np.linalg.norm(np.cross(rays, right), axis=1)
+    near = (ratio > 0.8) & (ratio < 1.25)
+    cameras = Rotation.from_rotvec([0, -bend, 0]).apply(toy.clouds.cameras_sfm)
+    bent = changed(toy, points_sfm=(points * ratio[:, None])[near], is_dynamic_sfm=np.zeros(near.sum(), bool), cameras_sfm=cameras)
+    icp = IcpSettings(bend_std_deg=2.0)
+    made = calibrate_keyframe(replace(bent, T_initial=T_CAMERA_LIDAR), replace(SETTINGS, alignment=AlignmentSettings(icp=icp)))
+    assert made.figures["bend_icp_deg"] == pytest.approx(-0.5, abs=0.2)
+    # What is in force is the truth: the clouds say neither against it nor for it.
+    assert abs(made.figures["gain_m"]) < 0.005
+
+
+def test_a_way_is_used_where_firing_times_are_not_known(toy):
+    made = calibrate_keyframe(changed(toy, time_offset_s=None), SETTINGS)
+    assert abs(made.figures["way_off_deg"]) < 0.2
+    assert made.figures["n_shots"] == 1
 
 
 def test_equal_posts_at_equal_distances_are_refused():
