@@ -33,9 +33,12 @@ def describe_hardware() -> str:
     return f"{cpu[1] if cpu else platform.machine()}, {os.cpu_count()} cores, {memory_kb / 2**20:.0f} GiB, no GPU used"
 
 
-def is_simulated(scores: Path) -> bool:
-    """Whether every data set and drive of a table of scores is simulated: pictures of real recordings stay out of the repository."""
-    for name in pd.read_csv(scores)["dataset"].dropna().unique():
+def is_simulated(scores: Path, run: str) -> bool:
+    """Whether every data set and drive of a run's table of scores is simulated: pictures of real recordings stay out of the repository."""
+    config = HOME / "config" / f"{run}.yaml"
+    variants = yaml.safe_load(config.read_text()).get("voxel_variants", {}) if config.is_file() else {}
+    for found in pd.read_csv(scores)["dataset"].dropna().unique():
+        name = variants.get(found, {}).get("dataset", found)
         files = [HOME / "config" / kind / f"{name}.yaml" for kind in ("datasets", "drives")]
         facts = [yaml.safe_load(path.read_text()) for path in files if path.is_file()]
         if not any("simulate" in (known.get("source"), known.get("reader")) for known in facts):
@@ -109,7 +112,7 @@ def main() -> None:
         shutil.copy(source / "scores.csv", target)
         shutil.copytree(source / "tables", target / "tables", ignore=shutil.ignore_patterns(".*"))
         report = shrink_report((source / "report.html").read_text())
-        if is_simulated(source / "scores.csv") and len(report.encode()) < MAX_BYTES:
+        if is_simulated(source / "scores.csv", run) and len(report.encode()) < MAX_BYTES:
             (target / "report.html").write_text(report)
         lines = [
             f"command: {arguments.command or f'make run CONFIG=config/{run}.yaml'}",
