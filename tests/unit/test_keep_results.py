@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import pandas as pd
 
-from docs.keep_results import WIDTH_PX, keep_benchmarks, shrink_report
+from docs.keep_results import WIDTH_PX, hide_folders, is_simulated, keep_benchmarks, shrink_report
 
 
 def _uri(kind, pixels):
@@ -24,6 +24,21 @@ def test_pictures_of_a_kept_report_are_small():
     assert len(small) < len(html) / 4
     assert small.startswith("<p>Table</p>")
     assert drawing in small
+
+
+def test_no_folder_of_this_machine_is_kept():
+    html = "<pre>run: paper\ndata_root: /home/someone/data\ndrives_folder: ../own\n</pre>"
+    assert hide_folders(html) == "<pre>run: paper\ndata_root: (a folder)\ndrives_folder: ../own\n</pre>"
+
+
+def test_pictures_of_simulated_things_alone_are_kept(tmp_path):
+    for names, run, is_kept in (
+        (["city", "city_2cm"], "parameters", True),
+        (["city_2cm"], "seeds", False),
+        (["city", "oakland"], "oakland", False),
+    ):
+        pd.DataFrame({"dataset": [*names, None]}).to_csv(tmp_path / "scores.csv", index=False)
+        assert is_simulated(tmp_path / "scores.csv", run) == is_kept
 
 
 def test_benchmarks_that_were_not_run_again_stay(tmp_path):
