@@ -1,4 +1,7 @@
-"""How fast C²CNN labels and trains, against the same network cube by cube, and how time and memory grow with map and cube."""
+"""How fast C²CNN labels and trains, against the same network cube by cube, and how time and memory grow with map and cube.
+
+Where there is a GPU, it labels and trains as well, in rows whose peer is its name.
+"""
 
 import json
 import math
@@ -84,6 +87,8 @@ def run_labelling_benchmark(
     rows.append(
         _row("label_scene_of_2_5_5", "ratio", SCENE_PAPER_S / scene["time_s"], "times as fast", "thesis, GTX 1080", scene["n_points"])
     )
+    if torch.cuda.is_available():
+        rows += scene_on_gpu(scene_points)
     for k in ks:
         found = _in_process("train", k)
         rows += [
@@ -92,6 +97,34 @@ def run_labelling_benchmark(
         ]
         if k in DEVICE_MIB:
             rows.append(_row(f"train_k{k}", "peak_memory", DEVICE_MIB[k], "MiB", "thesis, GPU", 1))
+    return rows
+
+
+def scene_on_gpu(scene_points: int = SCENE_POINTS) -> list[dict]:
+    """The scene of thesis 2.5.5 on the GPU; its memory is the most that PyTorch held on the device."""
+    found, gpu = _in_process("scene_gpu", scene_points), torch.cuda.get_device_name()
+    rows = [row | {"peer": gpu} for row in _label_rows("label_scene_of_2_5_5", found)]
+    ratio = SCENE_PAPER_S / found["time_s"]
+    return [*rows, _row("label_scene_of_2_5_5", "ratio", ratio, "times as fast", f"thesis, GTX 1080; here {gpu}", found["n_points"])]
+
+
+def grid_on_gpu(name: str, grid: VoxelGrid, n_compared: int, scattered: Part, dense: Part) -> list[dict]:
+    """Labelling and training steps on the GPU; labels and logits against those of the processor."""
+    network, gpu, n = load_network(*WEIGHTS).eval().cuda(), torch.cuda.get_device_name(), len(grid)
+    label_s = _best(lambda: label_voxels(network, grid, TILE_M))
+    picked = np.random.default_rng(1).permutation(n)[:n_compared]
+    channels, keys = grid_channels(grid, network.settings), grid.keys[picked]
+    with torch.inference_mode():
+        found, expected = (sparse_logits(one, channels, grid.keys, keys).cpu() for one in (network, load_network(*WEIGHTS)))
+    rows = [
+        _row(f"label_{name}", "speed", n / label_s, "voxels/s", gpu, n),
+        _row(f"label_{name}", "equal_labels", float((found.argmax(1) == expected.argmax(1)).double().mean()), "share", gpu, n_compared),
+        _row(f"label_{name}", "largest_difference", float((found - expected).abs().max()), "logit", gpu, n_compared),
+    ]
+    with open_workers(1) as workers:
+        for kind, part in (("scattered", scattered), ("dense", dense)):
+            step_s = _best(lambda part=part: _step(network, part, workers, n_shares=1))
+            rows.append(_row(f"train_{name}", f"{kind}_speed", len(part.samples) / step_s, "samples/s", gpu, len(part.samples)))
     return rows
 
 
@@ -142,7 +175,8 @@ def _bench_grid(name: str, grid: VoxelGrid, n_compared: int) -> list[dict]:
     with _torch_threads(N_THREADS):
         cube_s = _best(lambda: cross_entropy(network(cubes), labels).backward()) / N_CUBES
     n = len(grid)
-    return [
+    on_gpu = grid_on_gpu(name, grid, n_compared, scattered, dense) if torch.cuda.is_available() else []
+    return on_gpu + [
         _row(f"label_{name}", "speed", n / ours_s, "voxels/s", "", n),
         _row(f"label_{name}", "speed", n / cubes_s, "voxels/s", "cube by cube", N_CUBES),
         _row(f"label_{name}", "ratio", cubes_s / ours_s, "times as fast", "cube by cube", n),
@@ -179,16 +213,16 @@ def _dense_part(grid: VoxelGrid, settings: Settings, rng: np.random.Generator, n
     return _part(grid, rows, rng.integers(0, 9, len(rows)), settings)
 
 
-def _step(network: C2CNN, part: Part, workers: Executor) -> None:
-    """Loss and gradients of all samples of a part, in as many shares as a training step takes."""
+def _step(network: C2CNN, part: Part, workers: Executor, n_shares: int = 8) -> None:
+    """Loss and gradients of all samples of a part, in as many shares as a training step takes on the processor; 1 on a GPU."""
     runs = part.runs(1024, len(part.samples), np.random.default_rng(0))
 
     def differentiate(share):
         channels, coords, wanted, labels = part.batch(share, np.zeros(len(share), np.int64))
-        loss = cross_entropy(sparse_logits(network, channels, coords, wanted), torch.from_numpy(labels))
-        return torch.autograd.grad(loss, list(network.parameters()))
+        loss = cross_entropy(sparse_logits(network, channels, coords, wanted), torch.from_numpy(labels).to(network.device))
+        return [gradient.cpu() for gradient in torch.autograd.grad(loss, list(network.parameters()))]
 
-    list(workers.map(differentiate, [share for share in (runs[k::8] for k in range(8)) if share]))
+    list(workers.map(differentiate, [share for share in (runs[k::n_shares] for k in range(n_shares)) if share]))
 
 
 def _best(call: Callable, n_repeats: int = 3) -> float:
@@ -261,14 +295,15 @@ def _row(benchmark: str, metric: str, value: float, unit: str, peer: str, n: int
     return {"benchmark": benchmark, "metric": metric, "value": float(value), "unit": unit, "peer": peer, "n": int(n)}
 
 
-def _label(grid: VoxelGrid) -> dict:
+def _label(grid: VoxelGrid, device: str = "cpu") -> dict:
     """Label a map; run in a process of its own for its peak memory."""
-    network = C2CNN(Settings(), seed=1).eval()
+    network = C2CNN(Settings(), seed=1).eval().to(device)
     label_voxels(network, grid.select(np.arange(len(grid)) < 20_000), TILE_M)
     start = time.perf_counter()
     label_voxels(network, grid, TILE_M, n_threads=N_THREADS)
     time_s = time.perf_counter() - start
-    return {"n_points": int(grid.counts.sum()), "n_voxels": len(grid), "time_s": time_s, "peak_mib": _memory_mib("VmHWM")}
+    peak_mib = _memory_mib("VmHWM") if device == "cpu" else torch.cuda.max_memory_allocated() / 2**20
+    return {"n_points": int(grid.counts.sum()), "n_voxels": len(grid), "time_s": time_s, "peak_mib": peak_mib}
 
 
 def _train(k: int, n_samples: int = 512) -> dict:
@@ -297,6 +332,7 @@ if __name__ == "__main__":
     measure = {
         "size": lambda m: _label(_street_grid(int(float(m) * 1e6))),
         "scene": lambda n: _label(_scene_grid(int(float(n)))),
+        "scene_gpu": lambda n: _label(_scene_grid(int(float(n))), "cuda"),
         "train": lambda k: _train(int(float(k))),
     }
     print(json.dumps(measure[sys.argv[1]](sys.argv[2])))

@@ -77,6 +77,7 @@ rule train_segmenter:
         network=structure_of,
         schedule=schedule_of,
         n_threads=config["n_threads"],
+        device=config["device"],
     script:
         "../scripts/train_segmenter.py"
 
@@ -170,6 +171,7 @@ rule label_map:
         tiles=lambda w: w.tiles,
         expected=structure_of,
         n_threads=config["n_threads"],
+        device=config["device"],
     script:
         "../scripts/label_map.py"
 

@@ -13,7 +13,7 @@ from streetscan.voxels import VoxelGrid
 
 def main(
     map_path: str, voxels_path: str, network_paths: Sequence[str], labelled_map_path: str, labelled_voxels_path: str,
-    tiles: str, tile_m: float, n_turns: int, smoothing: dict | None, n_threads: int, expected: dict,
+    tiles: str, tile_m: float, n_turns: int, smoothing: dict | None, n_threads: int, device: str, expected: dict,
 ) -> None:  # fmt: skip
     """
     Args:
@@ -27,10 +27,11 @@ def main(
         n_turns: quarter turns in which every voxel is looked at.
         smoothing: of `streetscan.segmentation.smoothing.Smoothing`; None: labels are each voxel's own.
         n_threads: threads; the result does not depend on it.
+        device: where a network labels, cpu or cuda.
         expected: the settings they must have been made with (`c2cnn.Settings`, or `TreeSettings`; size_m is the grid's).
     """
     grid = VoxelGrid.load(voxels_path)
-    labeller = load_labeller(network_paths, expected, grid.size_m, n_turns, Smoothing(**smoothing or {}))
+    labeller = load_labeller(network_paths, expected, grid.size_m, n_turns, Smoothing(**smoothing or {}), device)
     found = labeller(grid, tile_m, *parse_tiles(tiles), n_threads)
     with open_las_writer(labelled_map_path, read_crs(map_path)) as writer:
         for cloud in label_points(iterate_las(map_path), grid, found.rows, found.labels, found.confidence):

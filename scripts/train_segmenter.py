@@ -13,7 +13,9 @@ from streetscan.segmentation.training import Part, Schedule, class_weights, trai
 from streetscan.voxels import VoxelGrid
 
 
-def main(training: Seq, validation: Seq, labels: str, initial: Seq, outputs: Seq, network: dict, schedule: dict, n_threads: int) -> None:
+def main(
+    training: Seq, validation: Seq, labels: str, initial: Seq, outputs: Seq, network: dict, schedule: dict, n_threads: int, device: str
+) -> None:  # fmt: skip
     """
     Args:
         training, validation: paths of voxel grid and samples of each part.
@@ -22,13 +24,14 @@ def main(training: Seq, validation: Seq, labels: str, initial: Seq, outputs: Seq
         outputs: weights.safetensors, settings.yaml, history.csv. `<weights>.resume/` keeps what an interrupted training did.
         network, schedule: see `c2cnn.Settings` (size_m is the grid's) and `training.Schedule`.
         n_threads: threads; the result does not depend on it.
+        device: cpu or cuda, see `training.train`.
     """
     schedule, grid = Schedule(**schedule), VoxelGrid.load(training[0])
     settings = Settings(size_m=grid.size_m, **network)
     parts = [Part.load(*paths, settings, schedule.patch_voxels) for paths in (training, validation)]
     weights = class_weights(parts[0].samples.labels, load_npy(labels, "label_voxels", len(grid)), schedule.class_power)
     start, resume = load_network(*initial) if initial else None, f"{outputs[0]}.resume"
-    trained, history = train(settings, schedule, *parts, weights, start, resume, n_threads)
+    trained, history = train(settings, schedule, *parts, weights, start, resume, n_threads, device)
     save_network(trained, *outputs[:2])
     with atomic_path(outputs[2]) as partial:
         pd.DataFrame(history).to_csv(partial, index=False)

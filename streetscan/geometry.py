@@ -65,6 +65,17 @@ def apply(T: np.ndarray, points: np.ndarray) -> np.ndarray:
     return np.einsum("nij,nj->ni", T[:, :3, :3], points) + T[:, :3, 3]
 
 
+def moved_by(T: np.ndarray, step: np.ndarray) -> np.ndarray:
+    """T (4, 4) after a turn (rotation vector, rad) and a shift (m), (6,), in the axes of the frame it leads to."""
+    return transform_of_rotation(Rotation.from_rotvec(step[:3]).as_matrix(), step[3:]) @ T
+
+
+def steps_between(T: np.ndarray, poses: np.ndarray) -> np.ndarray:
+    """(K, 6) what `moved_by` takes to make T (4, 4) each of the poses (K, 4, 4)."""
+    turns = Rotation.from_matrix(poses[:, :3, :3] @ T[:3, :3].T)
+    return np.concatenate([turns.as_rotvec(), poses[:, :3, 3] - turns.apply(T[:3, 3])], axis=1)
+
+
 def interpolate_poses(times_s: np.ndarray, pose_times_s: np.ndarray, poses: np.ndarray) -> np.ndarray:
     """Poses at given times: positions linearly, rotations along the shortest turn.
 

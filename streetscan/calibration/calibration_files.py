@@ -12,7 +12,7 @@ import pandas as pd
 import yaml
 
 from streetscan.calibration.drive_calibration import DriveCalibration, KeyframeResult
-from streetscan.calibration.edges import Shot, make_shot
+from streetscan.calibration.edges import Bend, Shot, make_shot
 from streetscan.calibration.keyframe_calibration import STAGES, KeyframeCalibration, KeyframeClouds
 from streetscan.calibration.keyframes import Keyframe, read_keyframe_images, read_keyframe_lidar
 from streetscan.calibration.linear_projection import View, linear_of
@@ -42,6 +42,11 @@ _MEANING = {
     "T_camera_stamp": "the same for the lidar at its stamp and the camera at the image's: with the motion between them",
 }
 _COVARIANCE = "of T_camera_stamp as far as clouds and way tell: rotation vector (rad) and shift (m) in the camera's axes"
+_BEND_RESPONSE = (
+    "turn (rotation vector) and shift (m) of T_camera_stamp, in the camera's axes, for each radian that the way of the camera is off"
+)
+# What edges tell of an error of the way of the camera, and what holds where they tell nothing.
+_BEND_FIGURES = {"bend_found_deg": 0.0, "bend_std_deg": np.inf, "bend_deg": 0.0}
 
 
 def read_clouds(
@@ -154,6 +159,7 @@ def write_calibration(path: str | Path, made: KeyframeCalibration, keyframe: Key
         found |= {name: None if value is None else value.tolist(), f"{name}_is": meaning}
     is_known = np.isfinite(made.covariance).all()
     found |= {"covariance": made.covariance.tolist() if is_known else None, "covariance_is": _COVARIANCE}
+    found |= {"bend_response": made.bend_response.tolist(), "bend_response_is": _BEND_RESPONSE}
     found["stages"] = {name: made.stages[name].tolist() for name in STAGES if name in made.stages}
     if len(made.residuals_px):
         lengths = np.hypot(*made.residuals_px.T)
@@ -181,7 +187,13 @@ def read_results(
         (evidence,) = load_npz(evidence_path, ("evidence",), "calibrate_keyframe")
         motion = motion_of(poses, found["lidar_time_ns"], found["image_time_ns"]) if T is not None else None
         covariance = np.zeros((6, 6)) if found["covariance"] is None else np.array(found["covariance"])
-        results.append(KeyframeResult(keyframe.index, found["status"], T, motion, evidence, covariance))
+        figures = {name: np.radians(found["figures"].get(name, unknown)) for name, unknown in _BEND_FIGURES.items()}
+        bend = Bend(float(figures["bend_found_deg"]), float(figures["bend_std_deg"]))
+        response = np.array(found["bend_response"])
+        result = KeyframeResult(
+            keyframe.index, found["status"], T, motion, evidence, covariance, bend, float(figures["bend_deg"]), response
+        )
+        results.append(result)
     return results
 
 
@@ -203,7 +215,14 @@ def write_drive_calibration(
         "time_offset_is": "what the images' stamps are ahead of the lidar's clock",
     }  # fmt: skip
     if is_found:
+        is_told = np.isfinite(made.bend.std_rad)
         found |= {
+            "bend": {
+                "found_deg": float(np.degrees(made.bend.rad)) if is_told else None,
+                "std_deg": float(np.degrees(made.bend.std_rad)) if is_told else None,
+                "is_corrected": bool(made.is_straightened),
+            },
+            "bend_is": "error of the way of the camera, to its right, that all keyframes' image edges tell together",
             "std": {"x_y_z_m": sigmas[:3].tolist(), "turn_deg": np.degrees(sigmas[3:6]).tolist(), "time_offset_s": float(sigmas[6])},
             "covariance": made.covariance.tolist(),
             "covariance_is": "x, y, z of T_camera_lidar (m), rotation vector about the lidar's axes (rad), time offset (s)",

@@ -9,18 +9,22 @@ ASSUME: what is wrong with a keyframe is what its clouds leave open, and errors 
 (`keyframe_m`, `keyframe_deg`). These are small: what the clouds leave open is alone 1.3 times the errors of twelve right keyframes on
 training and validation streets. Few keyframes do not tell their own scatter: it is mixed with
 that expectation, which counts as `n_known` keyframes.
+
+Image edges seldom tell one keyframe surely that the way of its camera is wrong; where the lens or the images' timing makes all of a drive
+wrong alike, the keyframes together do, and all are corrected by what they tell (`pool_bends`).
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pandas as pd
 from scipy.spatial.transform import Rotation
 
+from streetscan.calibration.edges import UNTOLD, Bend
 from streetscan.calibration.keyframe_calibration import evidence_distance
 from streetscan.calibration.motion import LidarMotion
-from streetscan.geometry import invert, transform_of_rotation
+from streetscan.geometry import invert, moved_by, steps_between, transform_of_rotation
 
 
 @dataclass(frozen=True)
@@ -34,6 +38,7 @@ class DriveCalibrationSettings:
         n_bootstrap: samples of keyframes drawn for the bootstrap.
         max_deviation: a keyframe that is off by more deviations, on the mean of its six, is wrong, or the mounting has moved. ASSUME: 1.8;
             four in a thousand are as far off by chance, if errors are normal (chi-squared of six).
+        sure_bend: deviations by which a common error of the ways of the camera must differ from none to be corrected. ASSUME: 3.
         min_gain: share by which a keyframe must lie nearer than the calibration in force to replace it.
     """
 
@@ -43,6 +48,7 @@ class DriveCalibrationSettings:
     n_known: float = 3.0
     n_bootstrap: int = 200
     max_deviation: float = 1.8
+    sure_bend: float = 3.0
     min_gain: float = 0.02
 
 
@@ -56,6 +62,9 @@ class KeyframeResult:
         motion: of the lidar, or None.
         evidence: (P, 9) of its calibration.
         covariance: (6, 6) of T_camera_stamp as far as its clouds and way tell: a turn and a shift in the camera's axes.
+        bend: error of the way of the camera that image edges tell, and its deviation, infinite where they tell none.
+        bend_made_rad: how much of it T_camera_stamp is corrected by.
+        bend_response: (6,) turn and shift of T_camera_stamp in the camera's axes for each radian of such an error.
     """
 
     index: int
@@ -64,6 +73,9 @@ class KeyframeResult:
     motion: LidarMotion | None
     evidence: np.ndarray
     covariance: np.ndarray = field(default_factory=lambda: np.zeros((6, 6)))
+    bend: Bend = UNTOLD
+    bend_made_rad: float = 0.0
+    bend_response: np.ndarray = field(default_factory=lambda: np.zeros(6))
 
     def T_camera_lidar(self, time_offset_s: float = 0.0) -> np.ndarray:
         """(4, 4) of the sensors as mounted, for a time offset of the images' stamps."""
@@ -87,6 +99,8 @@ class DriveCalibration:
         covariance: (7, 7) of x, y, z of T_camera_lidar (m), a rotation vector about the lidar's axes (rad) and the offset (s).
         weights: (K,) of the accepted keyframes, 0 to 1.
         used: (K,) their numbers.
+        bend: the error that the ways of their cameras have in common, and its deviation.
+        is_straightened: whether the keyframes were corrected by it.
     """
 
     status: str
@@ -95,6 +109,8 @@ class DriveCalibration:
     covariance: np.ndarray = field(default_factory=lambda: np.full((7, 7), np.nan))
     weights: np.ndarray = field(default_factory=lambda: np.empty(0))
     used: np.ndarray = field(default_factory=lambda: np.empty(0, np.int64))
+    bend: Bend = UNTOLD
+    is_straightened: bool = False
 
 
 def combine_keyframes(
@@ -110,6 +126,10 @@ def combine_keyframes(
     accepted = [k for k in keyframes if k.status == "ok"]
     if not accepted:
         return DriveCalibration("no_keyframes")
+    bend = pool_bends(accepted)
+    is_straightened = abs(bend.rad) > settings.sure_bend * bend.std_rad
+    if is_straightened:
+        accepted = [_straightened(k, bend.rad) for k in accepted]
     inputs = _inputs(accepted, settings)
     fitted = _fit(*inputs, settings)
     covariance = fitted.covariance
@@ -122,7 +142,28 @@ def combine_keyframes(
         larger = np.sqrt(np.maximum(np.diag(bootstrap) / np.diag(covariance), 1.0))
         covariance = covariance * np.outer(larger, larger)
     numbers = np.array([k.index for k in accepted])
-    return DriveCalibration("ok", fitted.T, fitted.offset_s, covariance, fitted.weights, numbers)
+    return DriveCalibration("ok", fitted.T, fitted.offset_s, covariance, fitted.weights, numbers, bend, is_straightened)
+
+
+def pool_bends(keyframes: Sequence[KeyframeResult]) -> Bend:
+    """The error that the ways of the cameras of keyframes have in common, as their image edges tell it together.
+
+    Its deviation is infinite unless at least two tell one: a keyframe alone has decided for itself.
+    """
+    telling = [k.bend for k in keyframes if np.isfinite(k.bend.std_rad)]
+    if len(telling) < 2:
+        return UNTOLD
+    values, weights = np.array([b.rad for b in telling]), np.array([b.std_rad for b in telling]) ** -2.0
+    mean = weights @ values / weights.sum()
+    # Keyframes that differ by more than they say are less sure than they say.
+    scatter = max(1.0, weights @ (values - mean) ** 2 / (len(values) - 1))
+    return Bend(float(mean), float(np.sqrt(scatter / weights.sum())))
+
+
+def _straightened(keyframe: KeyframeResult, bend_rad: float) -> KeyframeResult:
+    """A keyframe corrected by an error of the way of its camera, instead of by its own."""
+    more = bend_rad - keyframe.bend_made_rad
+    return replace(keyframe, T_camera_stamp=moved_by(keyframe.T_camera_stamp, keyframe.bend_response * more), bend_made_rad=bend_rad)
 
 
 def _inputs(accepted: Sequence[KeyframeResult], s: DriveCalibrationSettings) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -131,7 +172,7 @@ def _inputs(accepted: Sequence[KeyframeResult], s: DriveCalibrationSettings) -> 
     poses = np.array([k.T_camera_lidar() for k in accepted])
     twists = np.array([np.zeros(6) if k.motion is None else k.motion.twist_at_image() for k in accepted])
     turns, shifts = (np.einsum("kij,kj->ki", poses[:, :3, :3], t) for t in (twists[:, :3], twists[:, 3:]))
-    # The vehicle turns about the lidar, a turn of `_errors` about the camera.
+    # The vehicle turns about the lidar, a turn of `steps_between` about the camera.
     ways = np.concatenate([turns, shifts + np.cross(poses[:, :3, 3], turns)], axis=1)
     common = np.diag([np.radians(s.keyframe_deg) ** 2] * 3 + [s.keyframe_m**2] * 3)
     return poses, ways, np.array([k.covariance for k in accepted]) + common
@@ -170,7 +211,7 @@ def _deviation(keyframe: KeyframeResult, held: Sequence[KeyframeResult], s: Driv
     """By how many deviations, on the mean of its six, a keyframe is off what others agree on."""
     poses, ways, covariances = _inputs([*held, keyframe], s)
     fitted = _fit(poses[:-1], ways[:-1], covariances[:-1], s)
-    error = _errors(poses[-1:], fitted.T)[0] - ways[-1] * fitted.offset_s
+    error = steps_between(fitted.T, poses[-1:])[0] - ways[-1] * fitted.offset_s
     back = np.linalg.inv(_to_lidar(fitted.T))
     own = covariances[-1] + (back @ fitted.covariance @ back.T)[:6, :6]
     return float(np.sqrt(error @ np.linalg.solve(own, error) / 6))
@@ -196,7 +237,7 @@ def _fit(poses: np.ndarray, ways: np.ndarray, covariances: np.ndarray, s: DriveC
     A = np.tile(np.eye(6, 7), (n, 1, 1))
     A[:, :, 6] = ways
     for _ in range(12):
-        errors = _errors(poses, T) - A[:, :, 6] * offset
+        errors = steps_between(T, poses) - A[:, :, 6] * offset
         spread = np.sqrt(_squares(errors, information))
         # A keyframe never loses all its weight: two that disagree would leave none.
         weights = np.maximum(np.clip(1 - (spread / (4.0 * max(1.0, float(np.median(spread))))) ** 2, 0, None) ** 2, 1e-3)
@@ -205,10 +246,10 @@ def _fit(poses: np.ndarray, ways: np.ndarray, covariances: np.ndarray, s: DriveC
         H[6, 6] += 1 / s.offset_std_s**2
         b[6] -= offset / s.offset_std_s**2
         step = np.linalg.solve(H, b)
-        T, offset = _moved(T, step[:6]), offset + float(step[6])
+        T, offset = moved_by(T, step[:6]), offset + float(step[6])
         if np.abs(step).max() < 1e-7:
             break
-    errors = _errors(poses, T) - A[:, :, 6] * offset
+    errors = steps_between(T, poses) - A[:, :, 6] * offset
     squares = weights @ _squares(errors, information)
     # The offset's own deviation is no scatter of the keyframes.
     scatter = (s.n_known + squares) / (s.n_known + weights.sum())
@@ -229,17 +270,6 @@ def _to_lidar(T: np.ndarray) -> np.ndarray:
 def _squares(errors: np.ndarray, information: np.ndarray) -> np.ndarray:
     """(K,) mean squares of errors (K, 6) in their deviations."""
     return (errors[:, None] @ information @ errors[:, :, None])[:, 0, 0] / 6
-
-
-def _errors(poses: np.ndarray, T: np.ndarray) -> np.ndarray:
-    """(K, 6) turns and shifts in the camera's axes that make `T` the poses (K, 4, 4)."""
-    turns = Rotation.from_matrix(poses[:, :3, :3] @ T[:3, :3].T)
-    return np.concatenate([turns.as_rotvec(), poses[:, :3, 3] - turns.apply(T[:3, 3])], axis=1)
-
-
-def _moved(T: np.ndarray, step: np.ndarray) -> np.ndarray:
-    """T (4, 4) after a turn and a shift (6,) in the camera's axes."""
-    return transform_of_rotation(Rotation.from_rotvec(step[:3]).as_matrix(), step[3:]) @ T
 
 
 def _cross(v: np.ndarray) -> np.ndarray:

@@ -174,6 +174,9 @@ class Bend:
     std_rad: float
 
 
+UNTOLD = Bend(0.0, np.inf)
+
+
 def find_bend(check: EdgeCheck, projection_of: Callable[[float], np.ndarray], max_rad: float, step_rad: float) -> Bend:
     """The error of the way of the camera under which image edges lie nearest to the lidar's, of those not kept for the check.
 
@@ -189,16 +192,16 @@ def find_bend(check: EdgeCheck, projection_of: Callable[[float], np.ndarray], ma
     errors = np.arange(-round(max_rad / step_rad), round(max_rad / step_rad) + 1) * step_rad
     sums, counts = check.sum_bundles([projection_of(e) for e in errors], False)
     if len(counts) < 2:
-        return Bend(0.0, np.inf)
+        return UNTOLD
     mean = sums.sum(axis=0) / counts.sum()
     if np.ptp(mean) < 1e-9:
-        return Bend(0.0, np.inf)
+        return UNTOLD
     # ASSUME: of errors alike, the smaller.
     prior = _HELD_PX * (errors / max_rad) ** 2
     costs = _smooth(mean) + prior
     k = int(costs.argmin())
     if not 0 < k < len(errors) - 1:
-        return Bend(0.0, np.inf)
+        return UNTOLD
     before, here, after = costs[k - 1 : k + 2]
     rad = float(errors[k] + step_rad * 0.5 * (before - after) / max(before - 2 * here + after, 1e-9))
     # A minimum is found to a step of the search.

@@ -41,7 +41,7 @@ from streetscan.calibration.objects import CloudObjects, ObjectSettings, count_c
 from streetscan.calibration.quality import SURE, QualitySettings, hausdorff_distance, judge_gain, plane_distances
 from streetscan.calibration.ways import MIN_WAY_M, LidarWay, Way, make_way
 from streetscan.errors import BadInput
-from streetscan.geometry import apply, invert, rotation_angle, transform, transform_of_rotation
+from streetscan.geometry import apply, invert, rotation_angle, steps_between, transform, transform_of_rotation
 from streetscan.registration.ndt import thin_points
 
 # The stages whose projections are kept, in their order.
@@ -149,6 +149,7 @@ class KeyframeCalibration:
         evidence: (P, 9) points of matched objects freed of motion (frame `lidar`), the camera's nearest points and their normals (frame
             of the camera at the reference image).
         bend_rad: error of the way of the camera, to its right, that its cloud was corrected by: of ICP and of edges.
+        bend_response: (6,) turn (rotation vector) and shift (m) of T_camera_stamp in the camera's axes for each radian of such an error.
         lidar, sfm: objects of the two clouds.
         raw: the same with all that moves left in, and the T_sfm_lidar (4, 4) found with them; None where there is nothing to compare.
         alignment, control, curves: of the stages.
@@ -166,6 +167,7 @@ class KeyframeCalibration:
     figures: dict[str, float] = field(default_factory=dict)
     evidence: np.ndarray = field(default_factory=lambda: np.empty((0, 9)))
     bend_rad: float = 0.0
+    bend_response: np.ndarray = field(default_factory=lambda: np.zeros(6))
     lidar: CloudObjects | None = None
     sfm: CloudObjects | None = None
     raw: tuple[CloudObjects, CloudObjects, np.ndarray] | None = None
@@ -332,6 +334,8 @@ def _register(c: KeyframeClouds, s: CalibrationSettings, scene: _Scene, made: Ke
     made.figures["bend_icp_deg"] = float(np.degrees(registered.bend_rad)) - made.figures.get("bend_deg", 0.0)
     made.T_camera_stamp, made.covariance = camera_of(view, registered.T_sfm_lidar), _in_camera(registered.covariance, view)
     made.T_camera_lidar = made.T_camera_stamp if c.motion is None else c.motion.to_image(made.T_camera_stamp)
+    bent = camera_of(view, registered.bent(_SMALL_RAD))
+    made.bend_response = steps_between(made.T_camera_stamp, bent[None])[0] / _SMALL_RAD
     made.figures |= {"icp_rmse_m": registered.rmse_m, "n_icp": registered.n_pairs, "scale": 1 / scale_of(registered.T_sfm_lidar)}
     made.figures["n_matched"] = len(made.control.objects)
     if target.way is not None:
@@ -375,6 +379,8 @@ def _straighten(
     return replace(again, bend_rad=start + again.bend_rad)
 
 
+# An error of the way of the camera by which others are seen to change.
+_SMALL_RAD = 1e-4
 # Step of the search for an error of the way of the camera.
 _BEND_STEP_DEG = 0.05
 

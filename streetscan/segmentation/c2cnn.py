@@ -167,6 +167,11 @@ class C2CNN(nn.Module):
         with torch.no_grad():
             self.output.weight.mul_(0.1)
 
+    @property
+    def device(self) -> torch.device:
+        """Where the weights are."""
+        return self.output.weight.device
+
     def forward(self, cubes: torch.Tensor, generator: torch.Generator | None = None) -> torch.Tensor:
         """Logits (B, 9) of cubes (B, C, K, K, K) float32, axes x, y, z. Drops units when a generator is given."""
         x, convolutions = cubes, iter(self.convolutions)
@@ -188,7 +193,7 @@ def drop(x: torch.Tensor, share: float, generator: torch.Generator | None) -> to
     """Dropout drawn from `generator`; x itself without one."""
     if generator is None or share == 0:
         return x
-    kept = torch.rand(x.shape, generator=generator) >= share
+    kept = torch.rand(x.shape, generator=generator, device=x.device) >= share
     return x * kept / (1 - share)
 
 

@@ -82,7 +82,7 @@ def label_voxels(
     """Labels of the occupied voxels of one group of tiles.
 
     Args:
-        network: trained network.
+        network: trained network, on the device that does the work.
         grid: the whole map's voxels, with heights.
         tile_m: edge of a tile.
         group, n_groups: which group of how many.
@@ -144,7 +144,7 @@ def _class_shares(network: C2CNN, channels: np.ndarray, keys: np.ndarray, wanted
     with torch.inference_mode():
         turns = range(0, 4, 4 // n_turns)
         logits = (sparse_logits(network, channels, turn_keys(keys, turn), turn_keys(wanted, turn)) for turn in turns)
-        return (sum(torch.softmax(of_turn, 1) for of_turn in logits) / n_turns).numpy()
+        return (sum(torch.softmax(of_turn, 1) for of_turn in logits) / n_turns).cpu().numpy()
 
 
 def _rows_near(grid: VoxelGrid, rows: np.ndarray, radius: int) -> np.ndarray:

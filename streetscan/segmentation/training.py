@@ -28,6 +28,7 @@ from streetscan.io.arrays import load_npz
 from streetscan.io.atomic import atomic_path
 from streetscan.segmentation.c2cnn import C2CNN, Settings, check_same_settings, grid_channels, grid_pillars, input_channels, turn_keys
 from streetscan.segmentation.density import mean_counts_around
+from streetscan.segmentation.devices import choose_device
 from streetscan.segmentation.sparse import open_workers, sparse_logits
 from streetscan.voxels import VoxelGrid, find_sorted, pack_keys
 
@@ -35,8 +36,9 @@ logger = logging.getLogger(__name__)
 
 # ASSUME: a class with few samples weighs at most this much more than the others; a handful of voxels must not rule.
 _LARGEST_WEIGHT = 10.0
-# Parts of a batch that are computed apart, fixed so that sums do not depend on the number of threads.
-_N_SHARES = 8
+# Parts of a batch that are computed apart on the processor, fixed so that sums do not depend on the number of threads. A GPU waits for
+# orders, not for sums: it takes a batch whole.
+_N_SHARES = {"cpu": 8, "cuda": 1}
 # Densities a training patch may have.
 _N_SHARES_KEPT = 8
 # Samples scored together.
@@ -297,6 +299,7 @@ def train(
     initial: C2CNN | None = None,
     resume_folder: str | Path | None = None,
     n_threads: int = 1,
+    device: str = "cpu",
 ) -> tuple[C2CNN, list[dict]]:
     """Train a network with SGD on cross-entropy; keep the weights of the best validation accuracy.
 
@@ -312,17 +315,21 @@ def train(
         resume_folder: where to keep the state after each epoch; a training with the same inputs and settings goes on from
             there and ends as if it had not been interrupted. The caller deletes it when the results are safe.
         n_threads: threads; the result does not depend on it.
+        device: cpu, or cuda, where the same seed gives another network, for sums and dropout differ.
     Returns:
-        the network, and for each epoch: epoch, train_loss, train_accuracy, validation_loss, validation_accuracy,
+        the network, on the processor, and for each epoch: epoch, train_loss, train_accuracy, validation_loss, validation_accuracy,
         learning_rate, time_s.
     Raises:
-        BadInput: initial weights of other settings, or a loss that is no number.
+        BadInput: initial weights of other settings, a loss that is no number, or no such device.
     """
+    device = choose_device(device)
     network = C2CNN(settings, schedule.seed)
     if initial is not None:
         check_same_settings(initial.settings, settings, "the initial weights")
         network.load_state_dict(initial.state_dict())
     weights = torch.from_numpy(np.ones(N_CLASSES, np.float32) if weights is None else np.asarray(weights, np.float32))
+    fingerprint = _fingerprint(schedule, training, validation, weights, network)
+    network, weights = network.to(device), weights.to(device)
     optimizer = torch.optim.SGD(network.parameters(), lr=schedule.learning_rate, momentum=schedule.momentum)
     scheduler = torch.optim.lr_scheduler.ReduceLROnPlateau(
         optimizer, "max", schedule.lr_factor, schedule.lr_patience, threshold=1e-3, threshold_mode="abs"
@@ -333,9 +340,9 @@ def train(
     history, best = [], copy.deepcopy(network.state_dict())
     checkpoint = None
     if resume_folder is not None:
-        checkpoint = Path(resume_folder) / f"{_fingerprint(schedule, training, validation, weights, network)}.pt"
+        checkpoint = Path(resume_folder) / f"{fingerprint}_{device.type}.pt"
         if checkpoint.is_file():
-            state = torch.load(checkpoint, weights_only=True)
+            state = torch.load(checkpoint, map_location=device, weights_only=True)
             network.load_state_dict(state["network"])
             averaged.load_state_dict(state["averaged"])
             optimizer.load_state_dict(state["optimizer"])
@@ -372,17 +379,20 @@ def train(
                 with atomic_path(checkpoint) as partial:
                     torch.save(state, partial)
     network.load_state_dict(best)
-    return network.eval(), history
+    return network.cpu().eval(), history
 
 
 def sample_logits(network: C2CNN, part: Part, workers: Executor, turn: int = 0) -> tuple[torch.Tensor, torch.Tensor]:
-    """Logits (S, 9) float32 and labels (S,) int64 of all samples of a part, turned by quarter turns, in an order of their own."""
+    """Logits (S, 9) float32 and labels (S,) int64 of all samples of a part, turned by quarter turns, in an order of their own.
+
+    Both are on the network's device.
+    """
     rng = np.random.default_rng(0)
 
     def evaluate(runs):
         channels, coords, wanted, labels = part.batch(runs, np.full(len(runs), turn))
         with torch.inference_mode():
-            return sparse_logits(network, channels, coords, wanted), torch.from_numpy(labels)
+            return sparse_logits(network, channels, coords, wanted), torch.from_numpy(labels).to(network.device)
 
     results = list(workers.map(evaluate, list(_batches(part.runs(_SCORED, len(part.samples), rng), _SCORED))))
     logits, labels = (torch.cat(column) for column in zip(*results, strict=True))
@@ -409,20 +419,20 @@ def _run_epoch(
     epoch: int,
 ) -> tuple[float, float]:
     tally, last_message = _Tally(), time.perf_counter()
-    parameters = list(network.parameters())
+    parameters, n_shares = list(network.parameters()), _N_SHARES[network.device.type]
     batches = list(_batches(part.runs(schedule.samples_per_patch, schedule.samples_per_epoch, rng), schedule.samples_per_batch))
 
     def differentiate(runs, seed):
         rng = np.random.default_rng(seed)
         turns = rng.integers(4, size=len(runs))
         channels, coords, wanted, labels = part.batch(runs, turns, rng)
-        labels = torch.from_numpy(labels)
-        logits = sparse_logits(network, channels, coords, wanted, torch.Generator().manual_seed(seed))
+        labels = torch.from_numpy(labels).to(network.device)
+        logits = sparse_logits(network, channels, coords, wanted, torch.Generator(network.device).manual_seed(seed))
         losses = cross_entropy(logits, labels, weights, reduction="none")
         return torch.autograd.grad(losses.sum(), parameters), losses.detach(), logits.detach(), labels
 
     for i, runs in enumerate(batches):
-        shares = [share for share in (runs[k::_N_SHARES] for k in range(_N_SHARES)) if share]
+        shares = [share for share in (runs[k::n_shares] for k in range(n_shares)) if share]
         results = list(workers.map(differentiate, shares, rng.integers(2**62, size=len(shares)).tolist()))
         if not all(bool(torch.isfinite(losses).all()) for _, losses, _, _ in results):
             raise BadInput("train_segmenter.learning_rate", f"the loss is no number in epoch {epoch}", "lower the learning rate")
@@ -457,8 +467,9 @@ class _Tally:
     def add(self, losses: torch.Tensor, logits: torch.Tensor, labels: torch.Tensor) -> None:
         self.sum_losses += float(losses.detach().sum())
         is_right = logits.detach().argmax(1) == labels
-        self.n_right += np.bincount(labels[is_right].numpy(), minlength=N_CLASSES)
-        self.n_samples += np.bincount(labels.numpy(), minlength=N_CLASSES)
+        labels, is_right = labels.cpu().numpy(), is_right.cpu().numpy()
+        self.n_right += np.bincount(labels[is_right], minlength=N_CLASSES)
+        self.n_samples += np.bincount(labels, minlength=N_CLASSES)
 
     @property
     def loss(self) -> float:

@@ -26,7 +26,8 @@ def run(inputs, folder, tiles, expected=None, smoothing=None):
     expected = expected or {"k": 9, "n_hidden": 16}
     paths = folder / f"map_{tiles}.laz", folder / f"voxels_{tiles}.npz"
     outputs = {"labelled_map_path": paths[0], "labelled_voxels_path": paths[1]}
-    label_map.main(**inputs, **outputs, tiles=tiles, tile_m=4.0, n_turns=1, smoothing=smoothing, n_threads=1, expected=expected)
+    settings = {"tile_m": 4.0, "n_turns": 1, "smoothing": smoothing, "n_threads": 1, "device": "cpu", "expected": expected}
+    label_map.main(**inputs, **outputs, tiles=tiles, **settings)
     return paths
 
 

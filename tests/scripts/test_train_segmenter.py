@@ -34,7 +34,8 @@ def outputs(folder):
 
 
 def run(inputs, folder, **more):
-    train_segmenter.main(**inputs, outputs=outputs(folder), **({"network": NETWORK, "schedule": SCHEDULE, "n_threads": 1} | more))
+    settings = {"network": NETWORK, "schedule": SCHEDULE, "n_threads": 1, "device": "cpu"} | more
+    train_segmenter.main(**inputs, outputs=outputs(folder), **settings)
 
 
 def test_weights_settings_and_history_are_written(inputs, tmp_path):
@@ -62,3 +63,12 @@ def test_fine_tuning_needs_equal_settings(inputs, tmp_path):
     with pytest.raises(BadInput, match="other settings"):
         run(tuned, tmp_path / "third", network=NETWORK | {"k": 11})
     assert not (tmp_path / "third").exists()
+
+
+def test_a_gpu_that_is_not_there_is_named(inputs, tmp_path, monkeypatch):
+    monkeypatch.setattr("torch.cuda.is_available", lambda: False)
+    with pytest.raises(BadInput, match="finds no NVIDIA GPU"):
+        run(inputs, tmp_path / "out", device="cuda")
+    with pytest.raises(BadInput, match="'tpu' is unknown"):
+        run(inputs, tmp_path / "out", device="tpu")
+    assert not (tmp_path / "out").exists()

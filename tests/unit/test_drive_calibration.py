@@ -12,9 +12,11 @@ from streetscan.calibration.drive_calibration import (
     combine_keyframes,
     follow_drive,
     keyframes_in_force,
+    pool_bends,
 )
+from streetscan.calibration.edges import Bend
 from streetscan.calibration.motion import LidarMotion
-from streetscan.geometry import apply, invert, rotation_angle, transform
+from streetscan.geometry import apply, invert, moved_by, rotation_angle, transform
 from streetscan.registration.odometry import FramePose
 
 # Keyframes here say nothing of what their clouds leave open: these are all of their scatter.
@@ -202,3 +204,40 @@ def test_which_of_two_is_better_is_told_by_the_evidence_of_both():
     assert table["action"].tolist() == ["replaced", "kept"]
     assert table["distance_before_m"][1] < table["distance_m"][1]
     assert follow_drive([worse, keyframe(0)])["action"].tolist() == ["replaced", "replaced"]
+
+
+def bent_keyframe(index: int, bend_deg: float, told_deg: float, std_deg: float, made_deg: float = 0.0) -> KeyframeResult:
+    """A keyframe whose camera went another way by `bend_deg`, less what it is corrected by, and what its image edges tell of it."""
+    response = np.array([0.0, 1.0, 0.0, 0.5, 0.0, 0.1])
+    k = keyframe(index)
+    wrong = moved_by(k.T_camera_stamp, response * np.radians(made_deg - bend_deg))
+    bend = Bend(np.radians(told_deg), np.radians(std_deg))
+    return replace(k, T_camera_stamp=wrong, bend=bend, bend_made_rad=np.radians(made_deg), bend_response=response)
+
+
+def test_keyframes_that_tell_an_error_together_are_all_corrected():
+    # None is sure by itself but the last, which is corrected already.
+    told = [0.35, 0.2, 0.3, 0.25, 0.4, 0.3]
+    keyframes = [bent_keyframe(k, 0.3, t, 0.2) for k, t in enumerate(told)] + [bent_keyframe(6, 0.3, 0.3, 0.1, made_deg=0.3)]
+    made = combine_keyframes(keyframes)
+    assert made.is_straightened
+    assert np.degrees(made.bend.rad) == pytest.approx(0.3, abs=0.01)
+    np.testing.assert_allclose(made.T_camera_lidar, T_TRUE, atol=1e-3)
+    assert np.degrees(rotation_angle(invert(combine_keyframes(keyframes[:2]).T_camera_lidar) @ T_TRUE)) > 0.25
+
+
+def test_what_keyframes_do_not_tell_surely_corrects_none():
+    keyframes = [bent_keyframe(k, 0.0, told, 0.2) for k, told in enumerate([0.3, -0.2, 0.25, 0.1])]
+    made = combine_keyframes(keyframes)
+    assert not made.is_straightened
+    np.testing.assert_allclose(made.T_camera_lidar, T_TRUE, atol=1e-6)
+
+
+def test_pooled_errors_by_hand():
+    pooled = pool_bends([bent_keyframe(0, 0, 0.1, 0.1), bent_keyframe(1, 0, 0.2, 0.2), bent_keyframe(2, 0, 5.0, np.inf)])
+    # Weights 4 to 1: (4 * 0.1 + 0.2) / 5, deviation 0.1 * sqrt(4 / 5).
+    assert np.degrees([pooled.rad, pooled.std_rad]) == pytest.approx([0.12, 0.1 * np.sqrt(0.8)])
+    apart = pool_bends([bent_keyframe(0, 0, 0.5, 0.1), bent_keyframe(1, 0, -0.5, 0.1)])
+    # Ten deviations between them: five times as unsure, times the square root of two.
+    assert np.degrees(apart.std_rad) == pytest.approx(0.5)
+    assert np.isinf(pool_bends([bent_keyframe(0, 0, 0.1, 0.1)]).std_rad)

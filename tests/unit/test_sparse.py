@@ -7,9 +7,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch.nn.functional import cross_entropy
 
-from streetscan.segmentation import sparse
+from streetscan.segmentation import kernels_gpu, sparse
 from streetscan.segmentation.c2cnn import C2CNN, Settings, extract_cubes
-from streetscan.segmentation.sparse import _bitmap, _rank, _spread, find_sites, sparse_logits
+from streetscan.segmentation.kernels_cpu import _bitmap, _rank, _spread, find_sites
+from streetscan.segmentation.sparse import sparse_logits
 from streetscan.voxels import VoxelGrid
 
 
@@ -31,6 +32,13 @@ def make_scene(seed, n=400, extent=(60, 40, 30), n_channels=2):
     return VoxelGrid(np.zeros(3), 0.1, keys, *(np.ones(len(keys)),) * 3), channels
 
 
+@pytest.fixture(params=["cpu", "gpu"])
+def kernels(request, monkeypatch):
+    """The kernels of the processor, and those of a GPU, which run on the processor, too."""
+    if request.param == "gpu":
+        monkeypatch.setattr(sparse, "_kernels_of", lambda _: kernels_gpu)
+
+
 def compare(network, grid, channels, wanted):
     cubes = torch.from_numpy(extract_cubes(grid, channels, wanted, np.zeros(len(wanted), int), network.settings.k))
     labels = torch.arange(len(wanted)) % 9
@@ -45,7 +53,7 @@ def compare(network, grid, channels, wanted):
 
 
 @pytest.mark.parametrize("k", [7, 9, 11, 17, 19, 23, 27])
-def test_logits_and_gradients_equal_the_cubes(k):
+def test_logits_and_gradients_equal_the_cubes(k, kernels):
     grid, channels = make_scene(k)
     compare(make_network(k), grid, channels, grid.keys[::29])
 
@@ -65,22 +73,22 @@ def test_many_padded_cubes_are_evaluated_in_parts(monkeypatch):
         np.testing.assert_allclose(sparse_logits(network, channels, grid.keys, grid.keys[:50]), whole, atol=1e-6)
 
 
-def test_one_channel():
+def test_one_channel(kernels):
     grid, channels = make_scene(1, n_channels=1)
     compare(make_network(channels=("occupancy",)), grid, channels, grid.keys[::60])
 
 
-def test_one_voxel_alone():
+def test_one_voxel_alone(kernels):
     grid = VoxelGrid(np.zeros(3), 0.1, np.array([[-5, 7, 3]], np.int32), *(np.ones(1),) * 3)
     compare(make_network(), grid, np.array([[1.5, 0.2]], np.float32), grid.keys)
 
 
-def test_a_high_map_crosses_the_words_of_the_bitmaps():
+def test_a_high_map_crosses_the_words_of_the_bitmaps(kernels):
     grid, channels = make_scene(3, n=2000, extent=(12, 12, 200))
     compare(make_network(), grid, channels, grid.keys[::80])
 
 
-def test_repeated_and_unoccupied_centres():
+def test_repeated_and_unoccupied_centres(kernels):
     grid, channels = make_scene(4)
     compare(make_network(), grid, channels, np.array([[0, 0, 0], [0, 0, 0], [3, 3, 5], [200, 200, 200]]))
 
@@ -90,7 +98,7 @@ def test_no_wanted_voxel_gives_no_logits():
     assert sparse_logits(make_network(), channels, grid.keys, np.empty((0, 3), int)).shape == (0, 9)
 
 
-def test_the_company_of_other_voxels_changes_nothing():
+def test_the_company_of_other_voxels_changes_nothing(kernels):
     grid, channels = make_scene(5)
     network = make_network()
     with torch.no_grad():
@@ -99,7 +107,7 @@ def test_the_company_of_other_voxels_changes_nothing():
     np.testing.assert_allclose(np.concatenate(halves), together, atol=1e-6)
 
 
-def test_fifty_steps_of_training_agree_with_the_cubes():
+def test_fifty_steps_of_training_agree_with_the_cubes(kernels):
     grid, channels = make_scene(6)
     wanted = grid.keys[::40]
     cubes = torch.from_numpy(extract_cubes(grid, channels, wanted, np.zeros(len(wanted), int), 11))
@@ -153,3 +161,19 @@ def test_sets_spread_as_sets_of_tuples_do(points, width, step):
     found = np.argwhere(bits.transpose(0, 2, 1, 3).reshape(9, 6, 192))
     assert set(map(tuple, found.tolist())) == expected
     assert _rank(words)[1] == len(expected)
+
+
+def test_a_gpus_sites_in_few_batches_give_the_same(monkeypatch):
+    grid, channels = make_scene(2)
+    network = make_network()
+    monkeypatch.setattr(sparse, "_kernels_of", lambda _: kernels_gpu)
+    monkeypatch.setattr(kernels_gpu, "_GATHERED", 100)
+    compare(network, grid, channels, grid.keys[::60])
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="no GPU here")
+def test_a_gpu_gives_what_the_processor_gives():
+    grid, channels = make_scene(8)
+    network = make_network()
+    expected, found = sparse_logits(network, channels, grid.keys, grid.keys), sparse_logits(network.cuda(), channels, grid.keys, grid.keys)
+    np.testing.assert_allclose(found.detach().cpu(), expected.detach(), atol=1e-4)
