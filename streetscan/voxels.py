@@ -5,7 +5,7 @@ int64 so that sorting and searching are single-array operations.
 """
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +16,8 @@ from streetscan.io.arrays import load_npz, save_npz
 # 21 bits an axis: at 0.1 m a map of 209 km by 209 km by 209 km.
 _BITS = 21
 _HALF = 1 << (_BITS - 1)
+# What a grid's file holds.
+_SAVED = ("origin", "size_m", "keys", "counts", "mean_z_m", "height_m", "spread_s")
 
 
 def pack_keys(keys: np.ndarray) -> np.ndarray:
@@ -55,6 +57,8 @@ class VoxelGrid:
     mean_z_m: np.ndarray
     height_m: np.ndarray
     spread_s: np.ndarray | None = None
+    # Of `find`, made when first asked for; the keys of a grid do not change.
+    _packed: np.ndarray | None = field(default=None, init=False, repr=False, compare=False)
 
     def __post_init__(self):
         if self.spread_s is None:
@@ -79,7 +83,9 @@ class VoxelGrid:
 
     def find(self, keys: np.ndarray) -> np.ndarray:
         """(N,) int64 row of each (N, 3) key, -1 where no such voxel exists."""
-        return find_sorted(pack_keys(self.keys), pack_keys(keys))
+        if self._packed is None:
+            self._packed = pack_keys(self.keys)
+        return find_sorted(self._packed, pack_keys(keys))
 
     def select(self, mask: np.ndarray) -> "VoxelGrid":
         """The grid of the voxels a boolean mask keeps (sorted order stays)."""
@@ -88,13 +94,12 @@ class VoxelGrid:
 
     def save(self, path: str | Path) -> None:
         """Write as `.npz` (uncompressed)."""
-        save_npz(path, **vars(self))
+        save_npz(path, **{name: getattr(self, name) for name in _SAVED})
 
     @classmethod
     def load(cls, path: str | Path) -> "VoxelGrid":
         """Read what `save` wrote. BadInput when the file is something else."""
-        names = ("origin", "size_m", "keys", "counts", "mean_z_m", "height_m", "spread_s")
-        origin, size_m, *arrays = load_npz(path, names, "voxelize_map")
+        origin, size_m, *arrays = load_npz(path, _SAVED, "voxelize_map")
         return cls(origin, float(size_m), *arrays)
 
 

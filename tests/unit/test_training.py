@@ -216,3 +216,9 @@ def test_sample_files_are_checked(tmp_path):
     path.write_bytes(b"PK")
     with pytest.raises(BadInput):
         Samples.load(path)
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="no GPU here")
+def test_a_gpu_repeats_its_training(part, other_part):
+    a, b = (train(SETTINGS, SCHEDULE, part, other_part, device="cuda")[0].state_dict() for _ in range(2))
+    assert all(torch.equal(a[name], b[name]) for name in a)
