@@ -1,6 +1,6 @@
 """How fast C²CNN labels and trains, against the same network cube by cube, and how time and memory grow with map and cube.
 
-Where there is a GPU, it labels and trains as well, in rows whose peer is its name.
+Where there is a GPU, it labels and trains as well, in benchmarks of their own (`_gpu`).
 """
 
 import json
@@ -25,6 +25,7 @@ from streetscan.io.las import iterate_las
 from streetscan.segmentation.c2cnn import C2CNN, Settings, extract_cubes, grid_channels, load_network
 from streetscan.segmentation.ground import add_heights
 from streetscan.segmentation.inference import label_voxels
+from streetscan.segmentation.smoothing import Smoothing
 from streetscan.segmentation.sparse import open_workers, sparse_logits
 from streetscan.segmentation.training import Part, Samples
 from streetscan.voxels import VoxelGrid, voxelize
@@ -102,29 +103,29 @@ def run_labelling_benchmark(
 
 def scene_on_gpu(scene_points: int = SCENE_POINTS) -> list[dict]:
     """The scene of thesis 2.5.5 on the GPU; its memory is the most that PyTorch held on the device."""
-    found, gpu = _in_process("scene_gpu", scene_points), torch.cuda.get_device_name()
-    rows = [row | {"peer": gpu} for row in _label_rows("label_scene_of_2_5_5", found)]
+    name, found = "label_scene_of_2_5_5_gpu", _in_process("scene_gpu", scene_points)
     ratio = SCENE_PAPER_S / found["time_s"]
-    return [*rows, _row("label_scene_of_2_5_5", "ratio", ratio, "times as fast", f"thesis, GTX 1080; here {gpu}", found["n_points"])]
+    return [*_label_rows(name, found), _row(name, "ratio", ratio, "times as fast", "thesis, GTX 1080", found["n_points"])]
 
 
 def grid_on_gpu(name: str, grid: VoxelGrid, n_compared: int, scattered: Part, dense: Part) -> list[dict]:
     """Labelling and training steps on the GPU; labels and logits against those of the processor."""
-    network, gpu, n = load_network(*WEIGHTS).eval().cuda(), torch.cuda.get_device_name(), len(grid)
+    network, n = load_network(*WEIGHTS).eval().cuda(), len(grid)
     label_s = _best(lambda: label_voxels(network, grid, TILE_M))
     picked = np.random.default_rng(1).permutation(n)[:n_compared]
     channels, keys = grid_channels(grid, network.settings), grid.keys[picked]
     with torch.inference_mode():
         found, expected = (sparse_logits(one, channels, grid.keys, keys).cpu() for one in (network, load_network(*WEIGHTS)))
+    share_equal = float((found.argmax(1) == expected.argmax(1)).double().mean())
     rows = [
-        _row(f"label_{name}", "speed", n / label_s, "voxels/s", gpu, n),
-        _row(f"label_{name}", "equal_labels", float((found.argmax(1) == expected.argmax(1)).double().mean()), "share", gpu, n_compared),
-        _row(f"label_{name}", "largest_difference", float((found - expected).abs().max()), "logit", gpu, n_compared),
+        _row(f"label_{name}_gpu", "speed", n / label_s, "voxels/s", "", n),
+        _row(f"label_{name}_gpu", "equal_labels", share_equal, "share", "CPU", n_compared),
+        _row(f"label_{name}_gpu", "largest_difference", float((found - expected).abs().max()), "logit", "CPU", n_compared),
     ]
     with open_workers(1) as workers:
         for kind, part in (("scattered", scattered), ("dense", dense)):
             step_s = _best(lambda part=part: _step(network, part, workers, n_shares=1))
-            rows.append(_row(f"train_{name}", f"{kind}_speed", len(part.samples) / step_s, "samples/s", gpu, len(part.samples)))
+            rows.append(_row(f"train_{name}_gpu", f"{kind}_speed", len(part.samples) / step_s, "samples/s", "", len(part.samples)))
     return rows
 
 
@@ -296,11 +297,12 @@ def _row(benchmark: str, metric: str, value: float, unit: str, peer: str, n: int
 
 
 def _label(grid: VoxelGrid, device: str = "cpu") -> dict:
-    """Label a map; run in a process of its own for its peak memory."""
-    network = C2CNN(Settings(), seed=1).eval().to(device)
-    label_voxels(network, grid.select(np.arange(len(grid)) < 20_000), TILE_M)
+    """Label a map and smooth its labels, as the workflow does by default; run in a process of its own for its peak memory."""
+    network, settings = load_network(*WEIGHTS).to(device), yaml.safe_load((ROOT / "config" / "default.yaml").read_text())["label_map"]
+    smoothing = Smoothing(**settings["smoothing"])
+    label_voxels(network, grid.select(np.arange(len(grid)) < 20_000), TILE_M, smoothing=smoothing)
     start = time.perf_counter()
-    label_voxels(network, grid, TILE_M, n_threads=N_THREADS)
+    label_voxels(network, grid, TILE_M, n_threads=N_THREADS, smoothing=smoothing)
     time_s = time.perf_counter() - start
     peak_mib = _memory_mib("VmHWM") if device == "cpu" else torch.cuda.max_memory_allocated() / 2**20
     return {"n_points": int(grid.counts.sum()), "n_voxels": len(grid), "time_s": time_s, "peak_mib": peak_mib}

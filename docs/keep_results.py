@@ -75,6 +75,7 @@ def ship_weights(name: str, run: str, commit: str, target: Path) -> None:
         target: folder to fill.
     """
     dataset, model = name.split("/")
+    target.mkdir(parents=True, exist_ok=True)
     for file in ("weights.safetensors", "settings.yaml"):
         shutil.copy(HOME / "results/calibrate_segmenter" / name / file, target / file)
     # The tables of a run may hold means over seeds; these are the network's own.
@@ -106,7 +107,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("runs", nargs="*")
     parser.add_argument("--command", help="what was typed, where it was not `make run CONFIG=config/<run>.yaml`")
-    parser.add_argument("--ship", metavar="DATASET/MODEL", help="make this network of the first run named the one in weights/c2cnn/")
+    parser.add_argument("--ship", metavar="DATASET/MODEL", help="make this network of the first run named one that comes along")
+    parser.add_argument("--ship-as", metavar="FOLDER", default="c2cnn", help="in weights/; c2cnn where not given")
     arguments = parser.parse_args()
     finished = sorted(p.parent.name for p in (HOME / "results/tabulate_benchmarks").glob("*/report.html"))
     commit = subprocess.run(["git", "rev-parse", "HEAD"], cwd=HOME, check=True, capture_output=True, text=True).stdout.strip()
@@ -127,7 +129,7 @@ def main() -> None:
         (target / "run.txt").write_text("\n".join(lines) + "\n")
         print(f"kept run {run}")
     if arguments.ship:
-        ship_weights(arguments.ship, (arguments.runs or finished)[0], commit, HOME / "weights/c2cnn")
+        ship_weights(arguments.ship, (arguments.runs or finished)[0], commit, HOME / "weights" / arguments.ship_as)
     if (HOME / "results/bench.csv").is_file():
         keep_benchmarks(HOME / "results/bench.csv", KEPT, commit)
 

@@ -2,6 +2,7 @@
 
 import ast
 import functools
+import re
 import sys
 from pathlib import Path
 
@@ -222,9 +223,15 @@ def label_tiles(name, split=None):
     return paths
 
 
+def is_shipped(source):
+    """Whether a network is one of those that come with streetscan: `shipped` or `shipped_<variant>`."""
+    return source is not None and re.fullmatch(r"shipped(_[a-z0-9]+)?", source) is not None
+
+
 def network_files(source, step="calibrate_segmenter"):
-    """Weights and settings of a network: those in weights/ (`shipped`), or what a step made of `<data set>/<model>`."""
-    folder = HOME / "weights" / "c2cnn" if source == "shipped" else f"results/{step}/{source}"
+    """Weights and settings of a network: those in weights/c2cnn<_variant>/, or what a step made of `<data set>/<model>`."""
+    shipped = HOME / "weights" / f"c2cnn{source.removeprefix('shipped')}"
+    folder = shipped if is_shipped(source) else f"results/{step}/{source}"
     return [f"{folder}/weights.safetensors", f"{folder}/settings.yaml"]
 
 
@@ -256,7 +263,7 @@ def model_of(name):
     model = config["models"][base]
     if seed is None:
         return model
-    named = {key: model[key] for key in ("weights", "initial") if model[key] not in ("own", "shipped", None)}
+    named = {key: model[key] for key in ("weights", "initial") if model[key] not in ("own", None) and not is_shipped(model[key])}
     sources = {key: source for key, source in named.items() if "_seed_" not in source}
     return model | {key: f"{source}_seed_{seed}" for key, source in sources.items()} | {"schedule": model["schedule"] | {"seed": seed}}
 
@@ -341,7 +348,7 @@ def check_pair(name, model, needs_map=True, after=()):
         raise WorkflowError(f"labelled_maps: model '{base}' is not in the config; use one of {', '.join(known)}.")
     described = {"weights": "own", "initial": None} if is_baseline(model) else model_of(model)
     parts, truth, source = set(facts(name)["parts"]), facts(name)["truth"], described["weights"]
-    if seed is not None and source == "shipped":
+    if seed is not None and is_shipped(source):
         raise WorkflowError(f"labelled_maps: model '{model}': the shipped network is not trained again; use {base}.")
     is_own = source == "own" or "prior_power" in described
     if needs_map and not parts & {"test", "all"}:
@@ -351,8 +358,25 @@ def check_pair(name, model, needs_map=True, after=()):
             f"labelled_maps: model '{model}' trains on data set '{name}', which lacks labels or a part 'train' or 'validation'; "
             "use c2cnn_shipped, or add them to its file."
         )
-    for other in {source, described["initial"]} - {"own", "shipped", None}:
+    for other in {source, described["initial"]} - {"own", None}:
+        if is_shipped(other):
+            check_shipped(name, model, other)
+            continue
         check_pair(*other.split("/"), needs_map=False, after=(*after, (name, model)))
+
+
+def check_shipped(name, model, source):
+    """Refuse a network that does not come with streetscan, or whose voxels are not the data set's, in one sentence."""
+    path = network_files(source)[1]
+    if not Path(path).is_file():
+        known = sorted(f"shipped{p.name.removeprefix('c2cnn')}" for p in (HOME / "weights").glob("c2cnn*"))
+        raise WorkflowError(f"models: '{model}' takes '{source}', which does not come with streetscan; use {' or '.join(known)}.")
+    size_m = read_yaml(path)["size_m"]
+    if abs(size_m - voxel_size(name)) > 1e-9 * size_m:
+        raise WorkflowError(
+            f"labelled_maps: '{name}/{model}': the network '{source}' is for voxels of {size_m} m, the map's have {voxel_size(name)} m; "
+            "set voxelize_map.size_m, or use another model."
+        )
 
 
 def has_labels(drive):

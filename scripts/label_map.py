@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from streetscan.io.label_tiles import write_label_tile
 from streetscan.io.las import iterate_las, open_las_writer, read_crs
 from streetscan.logs import logged
+from streetscan.segmentation.devices import choose_device
 from streetscan.segmentation.inference import label_points, parse_tiles
 from streetscan.segmentation.labellers import load_labeller
 from streetscan.segmentation.smoothing import Smoothing
@@ -30,6 +31,7 @@ def main(
         device: where a network labels, cpu or cuda.
         expected: the settings they must have been made with (`c2cnn.Settings`, or `TreeSettings`; size_m is the grid's).
     """
+    choose_device(device)  # before minutes of reading
     grid = VoxelGrid.load(voxels_path)
     labeller = load_labeller(network_paths, expected, grid.size_m, n_turns, Smoothing(**smoothing or {}), device)
     found = labeller(grid, tile_m, *parse_tiles(tiles), n_threads)

@@ -9,6 +9,7 @@ from streetscan.io.arrays import load_npy
 from streetscan.io.atomic import atomic_path
 from streetscan.logs import logged
 from streetscan.segmentation.c2cnn import Settings, load_network, save_network
+from streetscan.segmentation.devices import choose_device
 from streetscan.segmentation.training import Part, Schedule, class_weights, train
 from streetscan.voxels import VoxelGrid
 
@@ -26,6 +27,7 @@ def main(
         n_threads: threads; the result does not depend on it.
         device: cpu or cuda, see `training.train`.
     """
+    choose_device(device)  # before minutes of reading
     schedule, grid = Schedule(**schedule), VoxelGrid.load(training[0])
     settings = Settings(size_m=grid.size_m, **network)
     parts = [Part.load(*paths, settings, schedule.patch_voxels) for paths in (training, validation)]

@@ -238,7 +238,7 @@ def input_channels(
             columns.append(np.clip(height_m / settings.height_scale_m, -1, 3))
         elif channel == "spread":
             if not np.isfinite(spread_s).all():
-                raise BadInput("the map", "its points have no times", "use a model without the channel spread")
+                raise BadInput("the map", "its points have no times", "use a model without the channel spread, such as c2cnn_shipped")
             columns.append(np.log1p(spread_s / _SPREAD_SCALE_S))
         elif channel == "pillar":
             columns.append(pillars)

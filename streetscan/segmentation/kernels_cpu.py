@@ -24,7 +24,7 @@ _COMPILED = {"cache": True, "nogil": True}
 
 @dataclass
 class Sites:
-    """What connects the layers for one set of wanted voxels.
+    """What connects the layers for one set of wanted voxels; int64 tensors instead of arrays on a GPU.
 
     Attributes:
         rows: (n,) rows of the given coordinates that enter the first layer, in its order.
@@ -33,9 +33,9 @@ class Sites:
         users: for each layer the transposed table: (sites of the layer before, width³), or None where not asked for.
     """
 
-    rows: np.ndarray
-    inputs: list[np.ndarray]
-    users: list[np.ndarray | None]
+    rows: np.ndarray | torch.Tensor
+    inputs: list[np.ndarray | torch.Tensor]
+    users: list[np.ndarray | torch.Tensor | None]
 
 
 def find_sites(layers: tuple[Layer, ...], radius: int, coords: np.ndarray, wanted: np.ndarray, with_users: bool) -> Sites:
@@ -132,7 +132,7 @@ class _SparseConv(torch.autograd.Function):
         padded = torch.cat([x, torch.zeros(1, x.shape[1])])
         rows = torch.from_numpy(np.where(inputs < 0, len(x), inputs))
         for part, grad_part in zip(rows.split(_GATHERED), grad.split(_GATHERED), strict=True):
-            taps = padded.index_select(0, part.flatten()).view(len(part), -1)
+            taps = padded.index_select(0, part.flatten()).view(len(part), len(grad_weight) * x.shape[1])
             grad_weight.view(-1, grad.shape[1]).addmm_(taps.T, grad_part)
         grad_x = None if users is None else _apply_taps(grad, weight.transpose(1, 2).contiguous(), users)
         return grad_x, grad_weight, None, None

@@ -6,6 +6,7 @@ holds the geometric mean of what its surroundings say along the surface, and nev
 Not in the thesis, whose label map is each voxel's own (2.4.2); its objects are grown from it afterwards (N-025).
 """
 
+import itertools
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,6 +18,8 @@ from streetscan.voxels import find_sorted, pack_keys
 
 # Least share that counts: a network's certainty in one voxel must not outvote all others.
 _LEAST_SHARE = 1e-4
+# Voxels smoothed together, beside those that reach them: bounds the memory (about 200 B a voxel).
+_MAX_TOGETHER = 2_000_000
 
 
 @dataclass(frozen=True)
@@ -62,6 +65,17 @@ def smooth_shares(keys: np.ndarray, shares: np.ndarray, smoothing: Smoothing) ->
     """
     if smoothing.n_rounds == 0 or len(keys) == 0:
         return shares
+    x, smooth = keys[:, 0], np.empty_like(shares)
+    # Slices of about as many voxels each; the last one's end lies beyond all.
+    starts = np.unique(np.quantile(x, np.arange(-(-len(keys) // _MAX_TOGETHER)) * _MAX_TOGETHER / len(keys), method="lower"))
+    for low, high in itertools.pairwise([*starts.tolist(), int(x.max()) + 1]):
+        near = (x >= low - smoothing.reach_voxels) & (x < high + smoothing.reach_voxels)
+        own = (x >= low) & (x < high)
+        smooth[own] = _smooth_together(keys[near], shares[near], smoothing)[own[near]]
+    return smooth
+
+
+def _smooth_together(keys: np.ndarray, shares: np.ndarray, smoothing: Smoothing) -> np.ndarray:
     cells, cell_of, n = np.unique(_name_cells(keys, shares, smoothing.cell_voxels), return_inverse=True, return_counts=True)
     members = sparse.csr_matrix((np.ones(len(keys), np.float32), (cell_of, np.arange(len(keys)))), shape=(len(cells), len(keys)))
     logs = (members @ np.log(shares + _LEAST_SHARE)) / n[:, None].astype(np.float32)

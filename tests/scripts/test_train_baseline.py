@@ -43,7 +43,7 @@ def train(inputs, folder, **more):
 def label(inputs, network_paths, folder, tiles, neighbours=NEIGHBOURS):
     paths = folder / f"map_{tiles}.laz", folder / f"voxels_{tiles}.npz"
     voxels = inputs["training"][0]
-    label_map.main(inputs["map_path"], voxels, network_paths, *paths, tiles, 4.0, 1, None, 1, {"neighbours": neighbours})
+    label_map.main(inputs["map_path"], voxels, network_paths, *paths, tiles, 4.0, 1, None, 1, "cpu", {"neighbours": neighbours})
     return paths
 
 

@@ -1,4 +1,4 @@
-"""The weights in weights/c2cnn/ fit the code and the default settings, and know a street when they see one."""
+"""The weights in weights/c2cnn/ and weights/c2cnn_wide/ fit the code and the config, and know a street when they see one."""
 
 from pathlib import Path
 
@@ -19,23 +19,30 @@ from streetscan.simulation.sensors import mobile_mapper
 from streetscan.voxels import voxelize
 
 HOME = Path(__file__).resolve().parents[2]
-FOLDER = HOME / "weights" / "c2cnn"
+# Folder in weights/ to the model that takes it.
+SHIPPED = {"c2cnn": "c2cnn_shipped", "c2cnn_wide": "c2cnn_wide_shipped"}
+
+
+@pytest.fixture(scope="module", params=list(SHIPPED))
+def folder(request):
+    return HOME / "weights" / request.param
 
 
 @pytest.fixture(scope="module")
-def network():
-    return load_network(FOLDER / "weights.safetensors", FOLDER / "settings.yaml")
+def network(folder):
+    return load_network(folder / "weights.safetensors", folder / "settings.yaml")
 
 
-def test_settings_are_the_defaults(network):
+def test_settings_are_those_of_the_config(network, folder):
     config = yaml.safe_load((HOME / "config" / "default.yaml").read_text())
-    wanted = config["train_segmenter"]["network"] | {"channels": config["models"]["c2cnn_shipped"]["channels"]}
-    check_same_settings(network.settings, Settings(size_m=config["voxelize_map"]["size_m"], **wanted), FOLDER)
+    model = config["models"][SHIPPED[folder.name]]
+    wanted = config["train_segmenter"]["network"] | model.get("network", {}) | {"channels": model["channels"]}
+    check_same_settings(network.settings, Settings(size_m=config["voxelize_map"]["size_m"], **wanted), folder)
 
 
-def test_where_they_come_from_is_told():
+def test_where_they_come_from_is_told(folder):
     """Of the city as it is now, and as good as the kept results say: as one of n trainings can be, of which they have mean and spread."""
-    origin = yaml.safe_load((FOLDER / "origin.yaml").read_text())
+    origin = yaml.safe_load((folder / "origin.yaml").read_text())
     assert origin["generator_version"] == GENERATOR_VERSION
     dataset, model = origin["network"].split("/")
     scores = pd.read_csv(HOME / "docs" / "results" / origin["run"] / "scores.csv", dtype={"seed": str})
@@ -53,9 +60,9 @@ def test_a_simulated_street_is_recognised(network):
     """A street no network is trained or chosen on; the pulse rate is the city's own, the street shorter."""
     scanners = mobile_mapper(lines_per_s=100, pulses_per_s=140_000)
     records = list(record_street("all", 3, {"length_m": 20.0}, scanners, Receiver(), Cameras(), Errors(), 1))
-    points = np.concatenate([record.cloud.points for record in records])
+    points, times_s = (np.concatenate(parts) for parts in zip(*((r.cloud.points, r.cloud.fields["time_s"]) for r in records), strict=True))
     truth = np.concatenate([record.labels for record in records])
-    grid = add_heights(voxelize([points], 0.1), cell_m=0.5, max_object_m=20.0, max_slope=0.15, step_m=0.2, min_patch_m2=4.0)
+    grid = add_heights(voxelize([np.c_[points, times_s]], 0.1), cell_m=0.5, max_object_m=20.0, max_slope=0.15, step_m=0.2, min_patch_m2=4.0)
     _, labels, confidence = label_voxels(network, grid, 40.0)[:3]
     of_points = labels[grid.find(grid.keys_of(points))]
     for label in (GROUND, FACADE):

@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 
 from streetscan.classes import CAR, FACADE, GROUND, N_CLASSES
 from streetscan.errors import BadInput
+from streetscan.segmentation import smoothing as smoothing_module
 from streetscan.segmentation.smoothing import Smoothing, smooth_shares
 
 
@@ -88,3 +89,13 @@ def test_no_rounds_and_no_voxels_change_nothing():
 def test_settings_that_mean_nothing_are_refused(values):
     with pytest.raises(BadInput, match=r"label_map\.smoothing"):
         Smoothing(**values)
+
+
+@pytest.mark.parametrize("n_together", [1, 37, 150, 399])
+def test_a_map_smoothed_in_slices_equals_the_whole(n_together, monkeypatch):
+    rng = np.random.default_rng(3)
+    keys = np.unique(rng.integers([-90, -4, 0], [90, 4, 3], (400, 3)), axis=0).astype(np.int32)
+    shares = rng.dirichlet(np.ones(N_CLASSES), len(keys)).astype(np.float32)
+    whole = smooth_shares(keys, shares, Smoothing(2, 5))
+    monkeypatch.setattr(smoothing_module, "_MAX_TOGETHER", n_together)
+    np.testing.assert_allclose(smooth_shares(keys, shares, Smoothing(2, 5)), whole, rtol=1e-5)

@@ -52,7 +52,7 @@ def compare(network, grid, channels, wanted):
         np.testing.assert_allclose(a, b, atol=1e-5)
 
 
-@pytest.mark.parametrize("k", [7, 9, 11, 17, 19, 23, 27])
+@pytest.mark.parametrize("k", [7, 9, 11, 17, 19, 23, 27, 31])
 def test_logits_and_gradients_equal_the_cubes(k, kernels):
     grid, channels = make_scene(k)
     compare(make_network(k), grid, channels, grid.keys[::29])
@@ -91,6 +91,11 @@ def test_a_high_map_crosses_the_words_of_the_bitmaps(kernels):
 def test_repeated_and_unoccupied_centres(kernels):
     grid, channels = make_scene(4)
     compare(make_network(), grid, channels, np.array([[0, 0, 0], [0, 0, 0], [3, 3, 5], [200, 200, 200]]))
+
+
+def test_a_centre_far_from_all_voxels(kernels):
+    grid, channels = make_scene(4)
+    compare(make_network(), grid, channels, np.array([[500, 500, 500]]))
 
 
 def test_no_wanted_voxel_gives_no_logits():

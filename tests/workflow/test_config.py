@@ -31,6 +31,9 @@ def objects(schema: dict, path: str = ""):
             yield from objects(schema[key], f"{path}/{key}")
 
 
+FAR = {"weights": "shipped_far", "initial": None}
+
+
 @pytest.mark.parametrize("path", SCHEMAS, ids=lambda p: p.stem)
 def test_schema_is_closed_and_described(path):
     for place, schema in objects(yaml.safe_load(path.read_text())):
@@ -117,6 +120,18 @@ SELF_STARTED = {"channels": ["count"], "weights": "own", "initial": "city_tiny/a
         ({"refined_models": ["city_tiny/lightgbm"]}, "refined_models: 'city_tiny/lightgbm' is no network trained on that data set"),
         ({"labelled_maps": ["city_tiny/c2cnn_seed_x"]}, "model 'c2cnn_seed_x': what follows _seed_ is no whole number"),
         ({"labelled_maps": ["city_tiny/resnet_seed_2"]}, "model 'resnet' is not in the config"),
+        (
+            {
+                "labelled_maps": ["city_tiny/far"],
+                "models": {"far": {"channels": ["count"], "schedule": {}, **FAR}},
+            },
+            "'far' takes 'shipped_far', which does not come with streetscan; use shipped or shipped_wide.",
+        ),
+        (
+            {"labelled_maps": ["city_tiny/c2cnn_shipped"], "voxelize_map": {"size_m": 0.05}},
+            "the network 'shipped' is for voxels of 0.1 m, the map's have 0.05 m; set voxelize_map.size_m",
+        ),
+        ({"device": "tpu"}, "device"),
         ({"labelled_maps": ["city_tiny/c2cnn_shipped_seed_2"]}, "the shipped network is not trained again; use c2cnn_shipped."),
         ({"labelled_maps": ["city_tiny/c2cnn", "city_tiny/c2cnn_seed_1"]}, "'city_tiny/c2cnn' is named twice with seed 1"),
         ({"tuned_models": ["city_tiny/c2cnn_seed_02", "city_tiny/c2cnn_seed_2"]}, "'city_tiny/c2cnn' is named twice with seed 2"),
