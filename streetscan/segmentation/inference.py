@@ -18,7 +18,7 @@ from streetscan.classes import N_CLASSES
 from streetscan.clouds import PointCloud
 from streetscan.errors import BadInput
 from streetscan.segmentation.c2cnn import C2CNN, grid_channels, turn_keys
-from streetscan.segmentation.smoothing import NO_SMOOTHING, Smoothing, smooth_shares
+from streetscan.segmentation.smoothing import NO_SMOOTHING, Smoothing, smooth_in_slices
 from streetscan.segmentation.sparse import open_workers, sparse_logits
 from streetscan.voxels import VoxelGrid
 
@@ -99,17 +99,30 @@ def label_voxels(
         raise BadInput(
             "the weights", f"weights made with other settings: {found}", "voxelize with the weights' size_m or use other weights"
         )
-    channels = grid_channels(grid, settings)
     tile, group_of_tile = assign_tiles(grid, tile_m, n_groups)
     is_own = group_of_tile[tile] == group
     looked_at = np.flatnonzero(is_own | _is_near(grid, tile, np.flatnonzero(group_of_tile == group), smoothing.reach_voxels))
+    shares = _shares_by_tile(network, grid, looked_at, tile, n_threads, n_turns)
+    own, n_tiles = is_own[looked_at], np.count_nonzero(group_of_tile == group)
+    alone = _best_class(shares)[own] if smoothing.n_rounds else None
+    # Of millions of voxels labels are kept, the smoothed shares are not.
+    labels, confidence = np.empty(len(looked_at), np.uint8), np.empty(len(looked_at), np.float32)
+    for rows, smoothed in smooth_in_slices(grid.keys[looked_at], shares, smoothing):
+        labels[rows], confidence[rows] = _best_class(smoothed), smoothed.max(axis=1)
+    logger.info("%d voxels in %d tiles labelled", np.count_nonzero(own), n_tiles)
+    return VoxelLabels(looked_at[own], labels[own], confidence[own], alone)
+
+
+def _shares_by_tile(network: C2CNN, grid: VoxelGrid, looked_at: np.ndarray, tile: np.ndarray, n_threads: int, n_turns: int) -> np.ndarray:
+    """(v, 9) float32 class shares of the voxels in rows `looked_at` (v,), increasing, a tile a thread; `tile` (V,) is of every voxel."""
+    channels = grid_channels(grid, network.settings)
     by_tile = looked_at[np.argsort(tile[looked_at], kind="stable")]
-    bounds = np.append(0, np.cumsum(np.bincount(tile[looked_at], minlength=len(group_of_tile))))
+    bounds = np.append(0, np.cumsum(np.bincount(tile[looked_at])))
     shares = np.zeros((len(looked_at), N_CLASSES), np.float32)
 
     def look_at_tile(i):
         rows = by_tile[bounds[i] : bounds[i + 1]]
-        nearby = _rows_near(grid, rows, settings.radius)
+        nearby = _rows_near(grid, rows, network.settings.radius)
         for part in _split(grid.keys, rows):
             found = _class_shares(network, channels[nearby], grid.keys[nearby], grid.keys[part], n_turns)
             shares[np.searchsorted(looked_at, part)] = found
@@ -117,12 +130,7 @@ def label_voxels(
     with open_workers(n_threads) as workers:
         # The list passes on a tile's error.
         list(workers.map(look_at_tile, np.flatnonzero(np.diff(bounds))))
-    own = is_own[looked_at]
-    alone = _best_class(shares)[own] if smoothing.n_rounds else None
-    smoothed = smooth_shares(grid.keys[looked_at], shares, smoothing)
-    rows = looked_at[own]
-    logger.info("%d voxels in %d tiles labelled", len(rows), np.count_nonzero(group_of_tile == group))
-    return VoxelLabels(rows, _best_class(smoothed)[own], smoothed.max(axis=1)[own], alone)
+    return shares
 
 
 def _best_class(shares: np.ndarray) -> np.ndarray:

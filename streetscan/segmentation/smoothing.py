@@ -7,6 +7,7 @@ Not in the thesis, whose label map is each voxel's own (2.4.2); its objects are 
 """
 
 import itertools
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -51,7 +52,17 @@ NO_SMOOTHING = Smoothing()
 
 
 def smooth_shares(keys: np.ndarray, shares: np.ndarray, smoothing: Smoothing) -> np.ndarray:
-    """Class shares after spreading over the surface.
+    """Class shares (V, 9) float32 after spreading over the surface, all at once; see `smooth_in_slices`."""
+    if smoothing.n_rounds == 0:
+        return shares
+    smooth = np.empty_like(shares)
+    for rows, of_slice in smooth_in_slices(keys, shares, smoothing):
+        smooth[rows] = of_slice
+    return smooth
+
+
+def smooth_in_slices(keys: np.ndarray, shares: np.ndarray, smoothing: Smoothing) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Class shares after spreading over the surface, slice by slice of the map.
 
     A cell's log shares are the mean of its voxels'; a round replaces them by the mean over the cell and the 26 around it, by their numbers
     of voxels. Ground voxels (more than half of the shares) and others never mix.
@@ -60,19 +71,20 @@ def smooth_shares(keys: np.ndarray, shares: np.ndarray, smoothing: Smoothing) ->
         keys: (V, 3) int32 occupied voxels, each once.
         shares: (V, 9) float32, rows sum to 1.
         smoothing: see Smoothing.
-    Returns:
-        (V, 9) float32, rows sum to 1; alike in all voxels of a cell.
+    Yields:
+        rows (v,) int64 of a slice's voxels, each voxel in one slice, and their shares (v, 9) float32, which sum to 1 and are alike in all
+        voxels of a cell.
     """
     if smoothing.n_rounds == 0 or len(keys) == 0:
-        return shares
-    x, smooth = keys[:, 0], np.empty_like(shares)
+        yield np.arange(len(keys)), shares
+        return
+    x = keys[:, 0]
     # Slices of about as many voxels each; the last one's end lies beyond all.
     starts = np.unique(np.quantile(x, np.arange(-(-len(keys) // _MAX_TOGETHER)) * _MAX_TOGETHER / len(keys), method="lower"))
     for low, high in itertools.pairwise([*starts.tolist(), int(x.max()) + 1]):
-        near = (x >= low - smoothing.reach_voxels) & (x < high + smoothing.reach_voxels)
-        own = (x >= low) & (x < high)
-        smooth[own] = _smooth_together(keys[near], shares[near], smoothing)[own[near]]
-    return smooth
+        near = np.flatnonzero((x >= low - smoothing.reach_voxels) & (x < high + smoothing.reach_voxels))
+        own = (x[near] >= low) & (x[near] < high)
+        yield near[own], _smooth_together(keys[near], shares[near], smoothing)[own]
 
 
 def _smooth_together(keys: np.ndarray, shares: np.ndarray, smoothing: Smoothing) -> np.ndarray:
