@@ -105,9 +105,11 @@ def label_voxels(
     shares = _shares_by_tile(network, grid, looked_at, tile, n_threads, n_turns)
     own, n_tiles = is_own[looked_at], np.count_nonzero(group_of_tile == group)
     alone = _best_class(shares)[own] if smoothing.n_rounds else None
-    # Of millions of voxels labels are kept, the smoothed shares are not.
+    # Of millions of voxels labels are kept, the smoothed shares are not, and the keys are not copied without need.
+    del tile, is_own
+    keys = grid.keys if len(looked_at) == len(grid) else grid.keys[looked_at]
     labels, confidence = np.empty(len(looked_at), np.uint8), np.empty(len(looked_at), np.float32)
-    for rows, smoothed in smooth_in_slices(grid.keys[looked_at], shares, smoothing):
+    for rows, smoothed in smooth_in_slices(keys, shares, smoothing):
         labels[rows], confidence[rows] = _best_class(smoothed), smoothed.max(axis=1)
     logger.info("%d voxels in %d tiles labelled", np.count_nonzero(own), n_tiles)
     return VoxelLabels(looked_at[own], labels[own], confidence[own], alone)

@@ -20,7 +20,7 @@ from streetscan.voxels import find_sorted, pack_keys
 # Least share that counts: a network's certainty in one voxel must not outvote all others.
 _LEAST_SHARE = 1e-4
 # Voxels smoothed together, beside those that reach them: bounds the memory (about 200 B a voxel).
-_MAX_TOGETHER = 2_000_000
+_MAX_TOGETHER = 1_000_000
 
 
 @dataclass(frozen=True)
