@@ -55,7 +55,7 @@ def test_the_page_on_own_drives_computes_what_it_says(tmp_path):
 def test_edit_of_the_deepest_import_runs_a_rule_again(tmp_path, tiny_scan):
     """errors.py is imported by clouds.py, that by las.py, that by the rule's module."""
     copy = tmp_path / "copy"
-    for name in ("Snakefile", "rules", "scripts", "config", "envs", "streetscan"):
+    for name in ("Snakefile", "rules", "scripts", "config", "envs", "streetscan", "weights"):
         source = HOME / name
         shutil.copytree(source, copy / name) if source.is_dir() else (copy.mkdir(exist_ok=True), shutil.copy(source, copy / name))
     target = f"results/voxelize_map/{tiny_scan.name}/all/voxels.npz"
