@@ -51,16 +51,6 @@ class Smoothing:
 NO_SMOOTHING = Smoothing()
 
 
-def smooth_shares(keys: np.ndarray, shares: np.ndarray, smoothing: Smoothing) -> np.ndarray:
-    """Class shares (V, 9) float32 after spreading over the surface, all at once; see `smooth_in_slices`."""
-    if smoothing.n_rounds == 0:
-        return shares
-    smooth = np.empty_like(shares)
-    for rows, of_slice in smooth_in_slices(keys, shares, smoothing):
-        smooth[rows] = of_slice
-    return smooth
-
-
 def smooth_in_slices(keys: np.ndarray, shares: np.ndarray, smoothing: Smoothing) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """Class shares after spreading over the surface, slice by slice of the map.
 

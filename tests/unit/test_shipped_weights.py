@@ -65,7 +65,8 @@ def test_a_simulated_street_is_recognised(network):
     grid = add_heights(voxelize([np.c_[points, times_s]], 0.1), cell_m=0.5, max_object_m=20.0, max_slope=0.15, step_m=0.2, min_patch_m2=4.0)
     _, labels, confidence = label_voxels(network, grid, 40.0)[:3]
     of_points = labels[grid.find(grid.keys_of(points))]
-    for label in (GROUND, FACADE):
-        assert (of_points[truth == label] == label).mean() > 0.6
-    assert (of_points == truth).mean() > 0.6
+    # Just under what the weaker of the two does: 99.6, 83.0 and 80.9 %.
+    for label, least in ((GROUND, 0.98), (FACADE, 0.8)):
+        assert (of_points[truth == label] == label).mean() > least
+    assert (of_points == truth).mean() > 0.78
     assert np.isfinite(confidence).all()

@@ -8,7 +8,15 @@ from hypothesis import strategies as st
 from streetscan.classes import CAR, FACADE, GROUND, N_CLASSES
 from streetscan.errors import BadInput
 from streetscan.segmentation import smoothing as smoothing_module
-from streetscan.segmentation.smoothing import Smoothing, smooth_shares
+from streetscan.segmentation.smoothing import Smoothing, smooth_in_slices
+
+
+def smooth_shares(keys: np.ndarray, shares: np.ndarray, smoothing: Smoothing) -> np.ndarray:
+    """All slices together; each voxel is in one."""
+    rows, parts = zip(*smooth_in_slices(keys, shares, smoothing), strict=True)
+    rows = np.concatenate(rows)
+    np.testing.assert_array_equal(np.sort(rows), np.arange(len(keys)))
+    return np.concatenate(parts)[np.argsort(rows)]
 
 
 def shares_of(*of_voxels: dict[int, float]) -> np.ndarray:
@@ -81,7 +89,7 @@ def test_voxels_beyond_the_reach_have_no_part(cell_voxels, n_rounds, seed):
 
 def test_no_rounds_and_no_voxels_change_nothing():
     shares = shares_of({CAR: 0.9})
-    assert smooth_shares(np.zeros((1, 3), np.int32), shares, Smoothing()) is shares
+    assert next(smooth_in_slices(np.zeros((1, 3), np.int32), shares, Smoothing()))[1] is shares
     assert smooth_shares(np.empty((0, 3), np.int32), shares[:0], Smoothing(2, 5)).shape == (0, N_CLASSES)
 
 
