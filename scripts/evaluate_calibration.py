@@ -29,12 +29,13 @@ def main(
     errors, transforms = [], []
     keyframes, calibrations = read_keyframes(keyframes_path), [read_yaml(path) for path in calibration_paths]
     times_ns = evaluation.times_of_images(keyframes, calibrations)
-    for keyframe, found, time_ns in zip(keyframes, calibrations, times_ns, strict=True):
+    shares = evaluation.find_movable_shares(drive_path, truth_folder, times_ns)
+    for keyframe, found, time_ns, share in zip(keyframes, calibrations, times_ns, shares, strict=True):
         truth = None
         if found["stages"] and evaluation.has_true_pixels(truth_folder):
             frame = read_keyframe_lidar(drive_path, keyframe)
             truth = evaluation.find_true_pixels(frame, keyframe.lidar_frame, found["image_time_ns"], truth_folder, found)
-        errors += evaluation.score_keyframe(found, keyframe.index, truth)
+        errors += evaluation.score_keyframe(found, keyframe.index, truth, share)
         T = found["T_camera_lidar"] if extrinsics else None
         transforms.append(evaluation.score_transform(f"{keyframe.index:02d}", found["status"], T, extrinsics, time_ns))
     drive = read_yaml(drive_calibration_path)

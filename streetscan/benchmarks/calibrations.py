@@ -46,6 +46,7 @@ _STEPS = {
 # Keyframes that have a step, beside those its errors are of.
 _N_STAGE = "n_with_stage"
 _PIXELS = ("x_mean", "x_deviation", "y_mean", "y_deviation")
+_ALL = "all_drives"
 
 
 def reconstruction_scores(paths: Sequence[str]) -> list[dict]:
@@ -115,7 +116,7 @@ def calibration_scores(paths: Sequence[str]) -> list[dict]:
     for path in paths:
         drive = Path(path).parent.name
         found = read_csv(path, ("set", "stage", "metric", "value", "unit", "n"), "evaluate_calibration")
-        found = found.fillna({"set": "", "stage": "", "unit": ""})
+        found = found.astype({"set": object, "stage": object}).fillna({"set": "", "stage": "", "unit": ""})
         is_both = {"slow", "fast"} <= set(found["set"])
         is_moved = bool((found["metric"].eq("noticed_after") & found["n"].gt(0)).any())
         for r in found.to_dict("records"):
@@ -133,7 +134,25 @@ def calibration_scores(paths: Sequence[str]) -> list[dict]:
                 rows.append(make_score("calibration", drive, "", r["metric"], *figure, r["stage"] or "keyframes"))
             elif r["stage"] == "shift" and is_moved:
                 rows.append(make_score("mount_shift", drive, "", r["metric"], *figure, r["stage"]))
-    return rows + _pool(pixels)
+    return rows + _pool_shares(rows) + _pool(pixels)
+
+
+def _pool_shares(rows: Sequence[dict]) -> list[dict]:
+    """Rows of the shares of accepted keyframes of all drives, where there are several."""
+    pooled = []
+    for metric in ("accepted", "accepted_open"):
+        own = [r for r in rows if (r["table"], r["column"]) == ("calibration", metric)]
+        if len(own) > 1:
+            share, n = _weigh([r["ours"] for r in own], [r["n"] for r in own])
+            pooled.append(make_score("calibration", _ALL, "", metric, share, "%", n, _ALL, "keyframes"))
+    return pooled
+
+
+def _weigh(values: Sequence[float], counts: Sequence[int]) -> tuple[float, int]:
+    """The mean over everything that values are means of, and of how much; those of nothing do not count."""
+    values, counts = np.array(values, float), np.array(counts, int)
+    n = int(counts.sum())
+    return (float(np.average(values[counts > 0], weights=counts[counts > 0])) if n else np.nan), n
 
 
 def _pool(figures: Sequence[tuple]) -> list[dict]:
@@ -151,30 +170,52 @@ def _pool(figures: Sequence[tuple]) -> list[dict]:
         table, *_, metric = place
         own = [f for f in figures if f[0] == place and (table != "nagy_4_2" or metric == _N_STAGE or f[4] in whole)]
         unit, method = next((unit, method) for p, _, unit, _, _, method in figures if p == place)
-        values, counts, drives = np.array([f[1] for f in own]), np.array([f[3] for f in own], int), [f[4] for f in own]
-        n = int(counts.sum())
-        mean = float(np.average(values[counts > 0], weights=counts[counts > 0])) if n else np.nan
-        value = float(values.sum()) if metric == _N_STAGE else mean
-        rows.append(make_score(*place, value, unit, n, drives[0] if len(drives) == 1 else "all_drives", method))
+        values, drives = [f[1] for f in own], [f[4] for f in own]
+        mean, n = _weigh(values, [f[3] for f in own])
+        value = float(sum(values)) if metric == _N_STAGE else mean
+        rows.append(make_score(*place, value, unit, n, _common(drives), method))
     return rows
 
 
+def _common(drives: Sequence[str]) -> str:
+    """What stands for the data of these drives."""
+    return drives[0] if len(drives) == 1 else _ALL
+
+
 def recalibration_scores(paths: Sequence[str]) -> list[dict]:
-    """Rows of the tidy scores: the thesis' range of Fig. 4.12, and rows per drive, tilt and size of the bins in the table `recalibration`.
+    """Rows of the tidy scores: the thesis' range of Fig. 4.12, and in the table `recalibration` a row per drive; rows per tilt, yaw and
+    size of the bins are over all drives.
 
     Args:
         paths: `evaluate_recalibration/<drive>/scores.csv`.
     """
-    rows = []
+    rows, figures = [], {}
     for path in paths:
         drive = Path(path).parent.name
         for r in read_csv(path, ("set", "metric", "value", "unit", "n"), "evaluate_recalibration").fillna({"set": ""}).to_dict("records"):
-            figure = r["value"], r["unit"], r["n"], drive, "final"
-            rows.append(make_score("recalibration", f"{drive}/{r['set']}" if r["set"] else drive, "", r["metric"], *figure))
-            axis, _, kind = r["metric"].partition("_")
-            if not r["set"] and kind in ("min", "max"):
-                rows.append(make_score("nagy_text", f"recalibration_{kind}", "proposed", f"{axis}_mean", *figure))
+            if not r["set"] or len(paths) == 1:
+                rows.append(_trial_row(drive, r["set"], r["metric"], r["value"], r["unit"], r["n"]))
+            figures.setdefault((r["set"], r["metric"], r["unit"]), []).append((r["value"], r["n"]))
+    where = _common([Path(path).parent.name for path in paths])
+    for (of, metric, unit), found in figures.items():
+        values, counts = zip(*found, strict=True)
+        axis, _, kind = metric.partition("_")
+        value, n = _weigh(values, counts)
+        if kind in _EXTREMES:
+            value = float(getattr(pd.Series(values), kind)())
+        if len(paths) > 1:
+            rows.append(_trial_row(_ALL, of, metric, value, unit, n))
+        if not of and kind in ("mean", *_EXTREMES):
+            rows.append(make_score("nagy_text", f"recalibration_{kind}", "proposed", f"{axis}_mean", value, unit, n, where, "final"))
     return rows
+
+
+# Of all drives these are no means; a drive without any has NaN.
+_EXTREMES = ("min", "max")
+
+
+def _trial_row(drive: str, of: str, metric: str, value: float, unit: str, n: int) -> dict:
+    return make_score("recalibration", f"{drive}/{of}" if of else drive, "", metric, value, unit, n, drive, "final")
 
 
 def draw_recalibrations(figures: Sequence[str]) -> list[Section]:
@@ -229,7 +270,7 @@ def runtime_scores(models: Sequence[str], calibrations: Sequence[str]) -> list[d
     files = (models, "reconstruct_keyframe", "densification_s"), (calibrations, "calibrate_keyframe", "quality_s")
     steps = [[read_csv(path, ("status", last), step).iloc[0] for path in paths] for paths, step, last in files]
     drives = list(dict.fromkeys(Path(path).parts[-3] for path in calibrations))
-    dataset = drives[0] if len(drives) == 1 else "all_drives"
+    dataset = _common(drives)
     rows, totals = [], 0.0
     for name, found in zip(("reconstruction", "calibration"), steps, strict=True):
         table = pd.DataFrame([{k: v for k, v in row.items() if k.endswith("_s")} for row in found], dtype=float)

@@ -89,7 +89,7 @@ def caption(table: str) -> dict[str, str]:
     """What stands over a table: `caption`, `source`, `row_heading`, `reference_metrics`, `scope`.
 
     `reference_metrics` are those shown of methods only the paper has (all when empty); `scope` is `across` when the rows
-    are the data sets themselves and empty when each data set has a table of its own.
+    are the data sets themselves, `list` when they are figures that share no columns, and empty when each data set has a table of its own.
 
     Raises:
         BadInput: no such table.

@@ -181,9 +181,9 @@ def add_paper_rows(scores: pd.DataFrame) -> pd.DataFrame:
 
 
 def _paper_tables(scores: pd.DataFrame):
-    """((table, data set), its rows) for each published table; one whose rows are data sets or drives is one table for all."""
+    """((table, data set), its rows) for each published table; one whose rows are data sets, drives or single figures is one for all."""
     known = set(load_published()["table"])
-    across = scores["table"].map(lambda table: caption(table)["scope"] == "across").astype(bool)
+    across = scores["table"].map(lambda table: bool(caption(table)["scope"])).astype(bool)
     keys = scores["dataset"].where(~across, "")
     for (table, dataset), part in scores.groupby([scores["table"], keys], sort=False):
         if table in known:

@@ -193,6 +193,42 @@ def pivot(scores: pd.DataFrame, table: str, dataset: str | None = None, mark_bes
     )
 
 
+def list_figures(scores: pd.DataFrame, table: str) -> Table:
+    """A table of single figures, which share no columns: one line each, what the figure is and on what data beside its value.
+
+    Args:
+        scores: as `streetscan.benchmarks.scores.read_scores` gives them.
+        table: its id.
+    Returns:
+        the table; what we measured first, then figures of the paper alone, both in the paper's order.
+    """
+    part = scores[scores["table"] == table]
+    order = _ordered_rows(part, table)
+    records = sorted(part.to_dict("records"), key=lambda r: (r["method"] == "", order.index(r["row"])))
+    columns = [Column("", name, True, False, name.lower(), is_text=True) for name in ("Figure", "Data set")]
+    columns.append(Column("", "Value", True, True, "value"))
+    held = [_holds([r]) for r in records]
+    texts = [(_name_figure(r["column"]), title(r["dataset"]) if r["dataset"] else DASH) for r in records]
+    cells = [[*(Cell(t, DASH) for t in of), _cell(r, ["", r["unit"]])] for of, r in zip(texts, records, strict=True)]
+    facts = find_caption(table)
+    return Table(
+        name=table,
+        caption=_caption(facts, None, set(), columns, part, ""),
+        row_heading=facts["row_heading"],
+        columns=columns,
+        rows=[title(r["row"]) + ("" if has_ours else " (paper)") for r, (has_ours, _) in zip(records, held, strict=True)],
+        row_holds=held,
+        cells=cells,
+        n=[format_number(r["n"]) for r in records],
+        raw=pd.DataFrame(records)[["row", "column", "dataset", "unit", "ours", "paper", "n"]],
+    )
+
+
+def _name_figure(column: str) -> str:
+    group, metric = split_column(column)
+    return f"{title(group)}: {title(metric)}" if group else title(metric)
+
+
 def _ordered_rows(part: pd.DataFrame, table: str) -> list[str]:
     seen = list(dict.fromkeys(part["row"]))
     if table not in set(load_published()["table"]):
@@ -382,11 +418,12 @@ def escape_latex(text: str) -> str:
 
 
 def make_tables(scores: pd.DataFrame) -> list[Table]:
-    """Every table the scores hold, in their order: one per data set, or one for all where rows are data sets."""
+    """Every table the scores hold, in their order: one per data set, or one for all where rows are data sets or single figures."""
     made = []
     for table in dict.fromkeys(scores["table"]):
-        if find_caption(table)["scope"] == "across":
-            made.append(pivot(scores, table))
+        scope = find_caption(table)["scope"]
+        if scope:
+            made.append(list_figures(scores, table) if scope == "list" else pivot(scores, table))
         else:
             datasets = dict.fromkeys(scores.loc[scores["table"] == table, "dataset"])
             made += [pivot(scores, table, dataset) for dataset in datasets]

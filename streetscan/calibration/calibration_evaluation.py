@@ -10,6 +10,8 @@ A camera that was moved in mid-drive has two true places: a keyframe is compared
 ASSUME: the thesis picks ten corner-like points of a keyframe by hand; ours are ten depth edges of what stands still, spread over the image.
 ASSUME: its average and deviation are those of the absolute errors along an axis.
 ASSUME: a point that comes to lie behind the camera is infinitely far off; so is the mean it enters.
+ASSUME: a keyframe is on a hard stretch when things that could move fill more than a quarter of its image (`HARD_SHARE`, of the true masks):
+a queue of cars and trams, which hides what stands still from both sensors.
 """
 
 import math
@@ -20,6 +22,8 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from streetscan.calibration.detectors.drive_truth import read_true_mask
+from streetscan.calibration.detectors.image_detections import DYNAMIC_LABELS
 from streetscan.calibration.edges import depth_edges
 from streetscan.calibration.keyframes import Keyframe
 from streetscan.calibration.linear_projection import project_linear
@@ -30,6 +34,7 @@ from streetscan.frames import LidarFrame
 from streetscan.geometry import apply, interpolate_poses, invert, rotation_angle
 from streetscan.io.arrays import load_npy
 from streetscan.io.files import find_file, read_yaml
+from streetscan.io.mcap import iterate_images
 from streetscan.io.trajectories import read_tum
 
 # The thesis' slow set ends at this speed.
@@ -39,12 +44,13 @@ N_FEATURES = 10
 _MOVING_MPS = 0.1
 COLUMNS = (
     "keyframe", "status", "stage", "speed_kmh", "x_px", "x_deviation_px", "y_px", "y_deviation_px", "all_x_px", "all_x_deviation_px",
-    "all_y_px", "all_y_deviation_px", "n_points", "median_distance_m", "edge_margin_px", "sigma_x_px", "sigma_y_px",
+    "all_y_px", "all_y_deviation_px", "n_points", "median_distance_m", "edge_margin_px", "sigma_x_px", "sigma_y_px", "movable_share",
 )  # fmt: skip
 # What the gates look at, of COLUMNS.
 _GATES = ("median_distance_m", "edge_margin_px", "sigma_x_px", "sigma_y_px")
 # ASSUME: a keyframe is truly good when no axis' mean error over all static points is above this; the thesis' projections are at 2.6 to 3.1.
 GOOD_PX = 2.0
+HARD_SHARE = 0.25
 _GATE_SHARE = 0.95
 # ASSUME: a calibration is wrong beyond any of these, of its transform and of its feature points' mean error along an axis: about twice the
 # thesis' projections, and more than a user of the cloud would overlook.
@@ -123,7 +129,17 @@ def _rows_of(chosen: np.ndarray, points: np.ndarray) -> np.ndarray:
     return np.isin(keys, np.ascontiguousarray(chosen.astype(points.dtype)).view([("", points.dtype)] * 3).ravel())
 
 
-def score_keyframe(calibration: dict, keyframe: int, truth: TruePixels | None) -> list[dict]:
+def find_movable_shares(drive_path: str | Path, truth_folder: str | Path, times_ns: Sequence[int]) -> list[float]:
+    """The share of each of these images that shows things that could move, by the true masks as recorded; NaN where there is no such image
+    or no mask."""
+    shares, wanted = {}, set(times_ns) if "masks" in read_yaml(Path(truth_folder) / "truth.yaml") else set()
+    for number, image in enumerate(iterate_images(drive_path) if wanted else ()):
+        if image.time_ns in wanted:
+            shares[image.time_ns] = float(np.isin(read_true_mask(truth_folder, number)[0], DYNAMIC_LABELS).mean())
+    return [shares.get(t, np.nan) for t in times_ns]
+
+
+def score_keyframe(calibration: dict, keyframe: int, truth: TruePixels | None, movable_share: float = np.nan) -> list[dict]:
     """A row of COLUMNS for each stage of a keyframe and for its final projection (`final`); one without numbers where there is none."""
     stages = {name: np.array(P) for name, P in calibration["stages"].items()}
     if calibration["projection"] is not None:
@@ -135,6 +151,7 @@ def score_keyframe(calibration: dict, keyframe: int, truth: TruePixels | None) -
             "status": calibration["status"],
             "stage": stage,
             "n_points": 0,
+            "movable_share": movable_share,
         }
         if truth is not None:
             row["speed_kmh"] = truth.speed_kmh
@@ -227,16 +244,20 @@ def summarize_errors(errors: pd.DataFrame, transforms: pd.DataFrame, history: pd
         transforms: rows of `score_transform`, that of the drive named `drive`.
         history: of calibrate_drive, a row per keyframe.
     Returns:
-        the share of accepted keyframes, their mean pixel errors by speed (stage `final`) and stage by stage, how bad accepted ones are at
-        their worst (stage `worst`), the errors of the drive's transform, of what the gates look at the limits that let 95 % of the truly
-        good keyframes pass (stage `gate`), and how a shift of the camera was noticed (stage `shift`).
+        the share of accepted keyframes, of all and off the hard stretches (`accepted_open`), their mean pixel errors by speed (stage
+        `final`) and stage by stage, how bad accepted ones are at their worst (stage `worst`), the errors of the drive's transform, of what
+        the gates look at the limits that let 95 % of the truly good keyframes pass (stage `gate`), and how a shift of the camera was
+        noticed (stage `shift`).
 
     Stages are compared on the same keyframes, those that have every stage; `n_with_stage` tells how many have this one.
     """
     rows = []
     finals = errors.drop_duplicates("keyframe")
     n = len(finals)
-    rows.append(("", "", "accepted", 100 * float((finals["status"] == "ok").mean()) if n else np.nan, "%", n))
+    is_ok, is_open = finals["status"] == "ok", finals["movable_share"].astype(float) <= HARD_SHARE
+    rows.append(("", "", "accepted", 100 * float(is_ok.mean()) if n else np.nan, "%", n))
+    if finals["movable_share"].notna().any():
+        rows.append(("", "", "accepted_open", 100 * float(is_ok[is_open].mean()), "%", int(is_open.sum())))
     accepted = errors[errors["status"] == "ok"].dropna(subset="x_px")
     for name, chosen in (("slow", accepted["speed_kmh"] <= SLOW_KMH), ("fast", accepted["speed_kmh"] > SLOW_KMH)):
         own = accepted[chosen]

@@ -1,6 +1,7 @@
 """The toy's calibration scored against its truth."""
 
 import shutil
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -9,7 +10,9 @@ import yaml
 from toy_calibration import START_NS, combine_toy
 
 from scripts import evaluate_calibration
+from streetscan.classes import CAR, VEGETATION
 from streetscan.geometry import transform
+from streetscan.io.mcap import iterate_images
 
 KNOCK = transform([0.5, 0, 0], (0, 0, np.radians(5)))
 
@@ -56,3 +59,23 @@ def test_a_keyframe_is_compared_with_the_place_at_its_image_and_the_drive_with_t
     assert transforms.index.tolist() == ["00", "drive"]
     for name, row in transforms.iterrows():
         assert row["rotation_deg"] == pytest.approx(5.0 if name in off else 0.0, abs=0.1)
+
+
+def test_the_share_of_the_image_that_could_move_is_told(tmp_path, toy_inputs, calibrated):
+    truth_folder = tmp_path / "truth"
+    shutil.copytree(toy_inputs["drive_path"].parent / "truth", truth_folder)
+    assert evaluate(tmp_path, toy_inputs, calibrated)["errors"]["movable_share"].isna().all()
+    truth = yaml.safe_load((truth_folder / "truth.yaml").read_text())
+    (truth_folder / "truth.yaml").write_text(yaml.safe_dump(truth | {"masks": {"type": "labels"}}))
+    (truth_folder / "masks").mkdir()
+    time_ns = yaml.safe_load(Path(calibrated["calibration_path"]).read_text())["image_time_ns"]
+    for number, image in enumerate(iterate_images(toy_inputs["drive_path"])):
+        labels = np.zeros((10, 20), np.uint8)
+        labels[:4] = CAR if image.time_ns == time_ns else VEGETATION
+        np.savez(truth_folder / "masks" / f"{number:06d}.npz", labels=labels, instances=labels.astype(np.uint32))
+    tables = evaluate(tmp_path, toy_inputs, calibrated, truth_folder)
+    assert set(tables["errors"]["movable_share"]) == {0.4}
+    scores = tables["scores"].set_index("metric")
+    assert scores.loc["accepted", "n"] == 1
+    assert scores.loc["accepted_open", "n"] == 0
+    assert np.isnan(scores.loc["accepted_open", "value"])

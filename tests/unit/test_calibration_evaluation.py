@@ -8,6 +8,7 @@ import pytest
 
 from streetscan.calibration.calibration_evaluation import (
     COLUMNS,
+    HARD_SHARE,
     TRANSFORM_COLUMNS,
     TruePixels,
     score_keyframe,
@@ -181,3 +182,14 @@ def test_a_frame_without_features_has_no_error_of_them():
     (row,) = score_keyframe({"stages": {}, "projection": P.tolist(), "status": "ok", "figures": {}}, 0, truth)
     assert np.isnan(row["x_px"])
     assert row["all_x_px"] == 0.25
+
+
+def test_hard_stretches_are_told_apart():
+    """Things that could move fill the image of the third keyframe; of the fourth no mask is known, so that it is on neither kind."""
+    errors, transforms = of_keyframes(*((status, {"final": 1.0}, 0.1) for status in ("ok", "uncertain", "far_apart", "ok")))
+    history = pd.DataFrame({"is_shifted": [False] * 4, "in_force": [0] * 4})
+    assert "accepted_open" not in set(summarize_errors(errors, transforms, history)["metric"])
+    errors["movable_share"] = [0.1, HARD_SHARE, 0.4, np.nan]
+    scores = summarize_errors(errors, transforms, history).set_index("metric")
+    assert scores.loc["accepted", ["value", "n"]].tolist() == [50.0, 4]
+    assert scores.loc["accepted_open", ["value", "n"]].tolist() == [50.0, 2]

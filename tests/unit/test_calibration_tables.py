@@ -5,7 +5,13 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from streetscan.benchmarks.calibrations import calibration_scores, draw_reconstructions, reconstruction_scores, runtime_scores
+from streetscan.benchmarks.calibrations import (
+    calibration_scores,
+    draw_reconstructions,
+    recalibration_scores,
+    reconstruction_scores,
+    runtime_scores,
+)
 from streetscan.benchmarks.scores import collect_scores
 from streetscan.benchmarks.tables import make_tables
 from streetscan.errors import BadInput
@@ -89,6 +95,41 @@ def test_drives_are_pooled_in_the_tables_of_the_thesis(tmp_path):
     pooled = found[found.table == "nagy_4_1"].iloc[0]
     assert (pooled.ours, pooled.n, pooled.dataset) == (1.25, 4, "all_drives")
     assert found[found.table == "calibration"].row.tolist() == ["a", "b"]
+
+
+def test_accepted_keyframes_are_counted_over_all_drives_too(tmp_path):
+    paths = []
+    for drive, share, n, n_open in (("a", 50.0, 4, 2), ("b", 100.0, 1, 0)):
+        paths.append(tmp_path / "evaluate_calibration" / drive / "scores.csv")
+        paths[-1].parent.mkdir(parents=True)
+        rows = [("", "", "accepted", share, "%", n), ("", "", "accepted_open", 100.0 if n_open else np.nan, "%", n_open)]
+        pd.DataFrame(rows, columns=["set", "stage", "metric", "value", "unit", "n"]).to_csv(paths[-1], index=False)
+    found = pd.DataFrame(calibration_scores([str(path) for path in paths])).set_index(["row", "column"])
+    assert found.loc[("all_drives", "accepted"), ["ours", "n"]].tolist() == [60.0, 5]
+    assert found.loc[("all_drives", "accepted_open"), ["ours", "n"]].tolist() == [100.0, 2]
+    alone = pd.DataFrame(calibration_scores([str(paths[0])]))
+    assert alone.row.tolist() == ["a", "a"]
+
+
+def test_trials_of_drives_are_pooled(tmp_path):
+    """Means by their counts, extremes as they are; a drive with nothing accepted adds its refusals and no error."""
+    paths = []
+    for drive, share, least, n_ok in (("a", 75.0, 0.5, 3), ("b", 25.0, 0.9, 1), ("c", 0.0, np.nan, 0)):
+        paths.append(tmp_path / "evaluate_recalibration" / drive / "scores.csv")
+        paths[-1].parent.mkdir(parents=True)
+        rows = [("", "accepted", share, "%", 4), ("", "x_min", least, "px", n_ok), ("", "x_mean", 2 * least, "px", n_ok)]
+        rows.append(("tilt 0 to 2.5 deg", "accepted", share, "%", 2))
+        pd.DataFrame(rows, columns=["set", "metric", "value", "unit", "n"]).to_csv(paths[-1], index=False)
+    found = pd.DataFrame(recalibration_scores([str(path) for path in paths]))
+    own = found[found.table == "recalibration"].set_index(["row", "column"])
+    assert own.loc[("all_drives", "accepted"), ["ours", "n"]].tolist() == [pytest.approx(100 / 3), 12]
+    assert own.loc[("all_drives", "x_min"), ["ours", "n"]].tolist() == [0.5, 4]
+    assert own.loc[("all_drives", "x_mean"), "ours"] == pytest.approx((3 * 1.0 + 1.8) / 4)
+    assert own.loc[("all_drives/tilt 0 to 2.5 deg", "accepted"), ["ours", "n"]].tolist() == [pytest.approx(100 / 3), 6]
+    assert "a/tilt 0 to 2.5 deg" not in own.index.get_level_values("row")
+    beside = found[found.table == "nagy_text"].set_index("row")
+    assert beside.loc["recalibration_min", ["ours", "paper", "dataset"]].tolist() == [0.5, "1.2", "all_drives"]
+    assert make_tables(collect_scores([], {}, found.to_dict("records")))
 
 
 def test_steps_of_drives_are_compared_on_the_same_keyframes(tmp_path):

@@ -5,7 +5,7 @@ import math
 import pandas as pd
 import pytest
 
-from streetscan.benchmarks.scores import SCORE_COLUMNS, make_score
+from streetscan.benchmarks.scores import SCORE_COLUMNS, add_paper_rows, make_score
 from streetscan.benchmarks.tables import (
     escape_latex,
     format_number,
@@ -179,6 +179,21 @@ def test_one_table_per_data_set_but_for_tables_across(small, tmp_path):
     assert [t.name for t in made] == ["nagy_1_2", "nagy_2_3_my_street", "nagy_2_3_b"]
     write_tables(tmp_path / "tables", made)
     assert len(list((tmp_path / "tables").iterdir())) == 9
+
+
+def test_single_figures_are_listed_one_by_one():
+    """They share no columns: one line each, ours first, those of the paper alone once."""
+    figures = ("b", 0.5, 3), ("a", 2.0, 4)
+    ours = [make_score("nagy_text", "sfm_reprojection", "proposed", "error", v, "px", n, d, "sfm") for d, v, n in figures]
+    (table,) = make_tables(add_paper_rows(scores(ours)))
+    assert [c.heading for c in table.columns] == ["Figure", "Data set", "Value"]
+    lines = to_markdown(table).splitlines()
+    assert lines[2] == "| Reprojection error of images | Proposed: Error | B | 0.50 px / 1.02 px | 3 |"
+    assert lines[3] == "| Reprojection error of images | Proposed: Error | A | 2.00 px / 1.02 px | 4 |"
+    assert "| Voxels of a dense grid (paper) | Proposed: voxels | – | 562500 | – |" in lines
+    assert sum(row.startswith("Reprojection error") for row in table.rows) == 2
+    assert to_csv(table).splitlines()[1] == "sfm_reprojection,proposed error,b,px,0.5,1.02,3"
+    assert r"0.50 px / 1.02 px" in to_latex(table)
 
 
 def test_missing_table_is_said(small):
