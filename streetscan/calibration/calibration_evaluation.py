@@ -58,6 +58,7 @@ WRONG_DEG, WRONG_M, WRONG_PX = 1.0, 0.3, 5.0
 _WRONG = {"rotation_deg": WRONG_DEG, "translation_m": WRONG_M, "x_px": WRONG_PX, "y_px": WRONG_PX}
 TRANSFORM_COLUMNS = (
     "keyframe", "status", "is_after_shift", "rotation_deg", "translation_m", "forward_m", "offset_error_s", "sigma_m", "sigma_deg",
+    "bend_deg", "bend_std_deg",
 )  # fmt: skip
 
 
@@ -209,7 +210,7 @@ def times_of_images(keyframes: Sequence[Keyframe], calibrations: Sequence[dict])
 
 def score_transform(
     name: str, status: str, T: list | None, extrinsics: dict, image_time_ns: float = math.inf, offset_s: float | None = None,
-    std: dict | None = None,
+    std: dict | None = None, bend: dict | None = None,
 ) -> dict:  # fmt: skip
     """A row of TRANSFORM_COLUMNS: a found T_camera_lidar against the true one.
 
@@ -221,6 +222,7 @@ def score_transform(
         image_time_ns: stamp of the image whose extrinsics count; inf is the end of the drive.
         offset_s: found time offset, or None.
         std: `x_y_z_m` and `turn_deg`, or None.
+        bend: `found_deg` and `std_deg` of the error that the ways of a drive's cameras have in common, each may be None; no truth tells it.
     """
     row = dict.fromkeys(TRANSFORM_COLUMNS, np.nan) | {"keyframe": name, "status": status}
     row["is_after_shift"] = is_after_shift(extrinsics, image_time_ns)
@@ -233,6 +235,9 @@ def score_transform(
         row["offset_error_s"] = offset_s - extrinsics["time_offset_s"]
     if std is not None:
         row |= {"sigma_m": float(np.linalg.norm(std["x_y_z_m"])), "sigma_deg": float(np.linalg.norm(std["turn_deg"]))}
+    if bend is not None:
+        found = bend["found_deg"], bend["std_deg"]
+        row |= {name: np.nan if v is None else v for name, v in zip(("bend_deg", "bend_std_deg"), found, strict=True)}
     return row
 
 
@@ -278,6 +283,8 @@ def summarize_errors(errors: pd.DataFrame, transforms: pd.DataFrame, history: pd
             ("sigma_deg", "rotation_sigma", "deg"),
             ("sigma_m", "translation_sigma", "m"),
             ("offset_error_s", "offset_error", "s"),
+            ("bend_deg", "bend", "deg"),
+            ("bend_std_deg", "bend_sigma", "deg"),
         ):
             rows.append(("", "drive", metric, row[column], unit, int((finals["status"] == "ok").sum())))
     rows += _shift_of(transforms[transforms["keyframe"] != "drive"], history)

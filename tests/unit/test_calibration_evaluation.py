@@ -193,3 +193,12 @@ def test_hard_stretches_are_told_apart():
     scores = summarize_errors(errors, transforms, history).set_index("metric")
     assert scores.loc["accepted", ["value", "n"]].tolist() == [50.0, 4]
     assert scores.loc["accepted_open", ["value", "n"]].tolist() == [50.0, 2]
+
+
+def test_what_edges_of_a_drive_tell_of_the_camera_s_way_stands_beside_its_transform():
+    history = pd.DataFrame({"is_shifted": [], "in_force": []})
+    for bend, told in (({"found_deg": 0.3, "std_deg": 0.05}, (0.3, 0.05)), ({"found_deg": None, "std_deg": None}, (np.nan, np.nan))):
+        drive = score_transform("drive", "ok", T_BEFORE.tolist(), STILL, bend=bend)
+        transforms = pd.DataFrame([drive], columns=TRANSFORM_COLUMNS)
+        scores = summarize_errors(pd.DataFrame(columns=COLUMNS), transforms, history).set_index(["stage", "metric"])["value"]
+        np.testing.assert_equal((scores["drive", "bend"], scores["drive", "bend_sigma"]), told)
