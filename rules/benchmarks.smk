@@ -377,10 +377,13 @@ rule tabulate_benchmarks:
         models=for_keyframes("results/reconstruct_keyframe/{drive}/{keyframe}/model", CALIBRATED),
         model_summaries=for_keyframes("results/reconstruct_keyframe/{drive}/{keyframe}/summary.csv", CALIBRATED),
         calibrations=expand("results/evaluate_calibration/{drive}/scores.csv", drive=SCORED_CALIBRATIONS),
+        calibration_errors=expand("results/evaluate_calibration/{drive}/errors.csv", drive=SCORED_CALIBRATIONS),
+        calibration_transforms=expand("results/evaluate_calibration/{drive}/transforms.csv", drive=SCORED_CALIBRATIONS),
         recalibrations=expand("results/evaluate_recalibration/{drive}/scores.csv", drive=RECALIBRATED),
         recalibration_figures=expand("results/evaluate_recalibration/{drive}/trials.png", drive=RECALIBRATED),
         calibrated=for_keyframes("results/calibrate_keyframe/{drive}/{keyframe}/pictures", CALIBRATED),
         verdicts=for_keyframes("results/calibrate_keyframe/{drive}/{keyframe}/summary.csv", CALIBRATED),
+        detected=expand("results/detect_dynamic/{drive}/pictures", drive=CALIBRATED),
     output:
         scores="results/tabulate_benchmarks/{run}/scores.csv",
         report="results/tabulate_benchmarks/{run}/report.html",

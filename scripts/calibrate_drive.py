@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from streetscan.calibration.calibration_files import read_results, write_drive_calibration
+from streetscan.calibration.calibration_files import read_initial, read_results, write_drive_calibration
 from streetscan.calibration.drive_calibration import DriveCalibrationSettings, combine_keyframes, follow_drive, keyframes_in_force
 from streetscan.calibration.keyframes import find_camera, read_keyframes
 from streetscan.io.tables import save_tables
@@ -27,7 +27,8 @@ def main(
     results = read_results(calibration_paths, evidence_paths, read_keyframes(keyframes_path), read_pose_table(poses_path))
     chosen = build(DriveCalibrationSettings, settings, "calibrate_drive")
     held, _ = keyframes_in_force(results, chosen)
-    write_drive_calibration(calibration_path, combine_keyframes(held, chosen, seed), results, find_camera(drive_path))
+    made = combine_keyframes(held, chosen, seed, read_initial(drive_path))
+    write_drive_calibration(calibration_path, made, results, find_camera(drive_path))
     save_tables({history_path: follow_drive(results, chosen)})
 
 

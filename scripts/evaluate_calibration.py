@@ -39,7 +39,8 @@ def main(
         T = found["T_camera_lidar"] if extrinsics else None
         transforms.append(evaluation.score_transform(f"{keyframe.index:02d}", found["status"], T, extrinsics, time_ns))
     drive = read_yaml(drive_calibration_path)
-    T = drive["T_camera_lidar"] if extrinsics else None
+    # What was kept was not found here.
+    T = drive["T_camera_lidar"] if extrinsics and drive["status"] == "ok" else None
     of_drive = {"offset_s": drive["time_offset_s"], "std": drive.get("std"), "bend": drive.get("bend")}
     transforms.append(evaluation.score_transform("drive", drive["status"], T, extrinsics, **of_drive))
     tables = pd.DataFrame(errors, columns=evaluation.COLUMNS), pd.DataFrame(transforms, columns=evaluation.TRANSFORM_COLUMNS)

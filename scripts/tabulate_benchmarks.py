@@ -35,7 +35,7 @@ def main(
     kinds = ("realism", realism["compared"]), ("densities", realism["static_scans"]), ("thinnings", thinned["parts"])
     sheets, densities, thinnings = (scores.read_named(inputs[kind], names) for kind, names in kinds)
     rows = registrations.registration_scores(drives, inputs["grids"]) + localizations.localization_scores(on_maps)
-    rows += networks.all_scores(inputs, known, evaluations) + calibrations.all_scores(inputs)
+    rows += networks.all_scores(inputs, known, evaluations) + calibrations.all_scores(inputs, config["calibrate_keyframe"]["settings"])
     found = scores.collect_scores(evaluations, facts, rows + thinning.thinning_scores(thinnings, thinned["names"]))
     printed, figures = tables.make_tables(found), Path(outputs["figures"])
     sections = report.draw_sections(figures, found, evaluations, histories, views)

@@ -13,6 +13,7 @@ from streetscan.benchmarks.published import title
 from streetscan.benchmarks.report import Gallery, Part, Section, embed
 from streetscan.benchmarks.scores import make_score
 from streetscan.benchmarks.verdicts import HOW_TO_READ, checks_of
+from streetscan.calibration.calibration_evaluation import limit_gates
 from streetscan.calibration.keyframe_calibration import CalibrationSettings
 from streetscan.io.tables import read_csv
 from streetscan.localization.settings import build
@@ -27,9 +28,10 @@ _PICTURES = {
 }  # fmt: skip
 
 _CALIBRATION_PICTURES = {
-    "overlay": "Projected", "overlay_before": "Projected, by objects alone",
+    "overlay": "Projected", "overlay_initial": "Projected by the calibration before", "overlay_before": "Projected, by objects alone",
     "overlay_raw": "Projected, moving things left in", "overlay_curves": "Projected, after the curves", "matched": "Matched objects",
-    "aligned": "Aligned", "aligned_objects": "Aligned by objects", "aligned_raw": "Aligned by objects, moving things left in",
+    "aligned": "Aligned", "aligned_start": "Before anything is known", "aligned_raw": "Aligned by objects, moving things left in",
+    "aligned_objects": "Aligned by objects", "aligned_curves": "Aligned by ICP and curves",
     "lidar_objects": "Objects of the lidar", "sfm_objects": "Objects of the images", "lidar_pillars": "Pillars of the lidar",
     "sfm_pillars": "Pillars of the images", "lidar_shapes": "Shapes of the lidar", "sfm_shapes": "Shapes of the images",
     "curves": "Control curves",
@@ -39,12 +41,15 @@ _STEPS = {
     "objects_raw": "oba_raw",
     "objects": "oba_dynamic_filtered",
     "curves": "icp_nurbs",
+    "place": "place",
     "icp": "icp",
     "motion": "motion",
     "edges": "edges",
 }
 # Keyframes that have a step, beside those its errors are of.
 _N_STAGE = "n_with_stage"
+# Voxels of a cloud to whose they are; the thesis' figure is one for both.
+_VOXELS = {"n_lidar_voxels": "proposed", "n_sfm_voxels": "proposed_camera"}
 _PIXELS = ("x_mean", "x_deviation", "y_mean", "y_deviation")
 _ALL = "all_drives"
 
@@ -107,12 +112,13 @@ def draw_reconstructions(models: Sequence[str]) -> list[Section]:
 
 def calibration_scores(paths: Sequence[str]) -> list[dict]:
     """Rows of the tidy scores: Tables 4.1 and 4.2 over all keyframes, one row per drive in the table `calibration`, and one per drive whose
-    camera was moved in the table `mount_shift`. How bad accepted keyframes are at their worst is in the table `calibration_worst`.
+    camera was moved in the table `mount_shift`. How bad accepted keyframes are at their worst is in the table `calibration_worst`, how
+    many have which status in `calibration_status`.
 
     Args:
         paths: `evaluate_calibration/<drive>/scores.csv`, one per drive.
     """
-    rows, pixels = [], []
+    rows, pixels, voxels = [], [], []
     for path in paths:
         drive = Path(path).parent.name
         found = read_csv(path, ("set", "stage", "metric", "value", "unit", "n"), "evaluate_calibration")
@@ -122,19 +128,50 @@ def calibration_scores(paths: Sequence[str]) -> list[dict]:
         for r in found.to_dict("records"):
             figure = r["value"], r["unit"], r["n"], drive
             if r["stage"] == "final":
-                if r["metric"] in _PIXELS:
-                    pixels.append((("nagy_4_1", "proposed", r["set"], r["metric"]), *figure, "final"))
+                of, metric = ("proposed_all", r["metric"][4:]) if r["metric"].startswith("all_") else ("proposed", r["metric"])
+                if metric in _PIXELS:
+                    pixels.append((("nagy_4_1", of, r["set"], metric), *figure, "final"))
                 row = f"{drive}/{r['set']}" if is_both else drive
                 rows.append(make_score("calibration", row, "", r["metric"], *figure, "final"))
             elif r["stage"] in _STEPS and r["set"] == "slow" and r["metric"] in (*_PIXELS, _N_STAGE):
                 pixels.append((("nagy_4_2", _STEPS[r["stage"]], "", r["metric"]), *figure, r["stage"]))
             elif r["stage"] == "worst":
                 rows.append(make_score("calibration_worst", drive, "", r["metric"], *figure, "final"))
+            elif r["stage"] == "status":
+                rows.append(make_score("calibration_status", drive, "", r["metric"], *figure, "keyframes"))
+            elif r["metric"] in _VOXELS:
+                voxels.append((("nagy_text", "sparse_voxels", _VOXELS[r["metric"]], "n_voxels"), *figure, "keyframes"))
             elif r["stage"] in ("", "drive"):
                 rows.append(make_score("calibration", drive, "", r["metric"], *figure, r["stage"] or "keyframes"))
             elif r["stage"] == "shift" and is_moved:
                 rows.append(make_score("mount_shift", drive, "", r["metric"], *figure, r["stage"]))
-    return rows + _pool_shares(rows) + _pool(pixels)
+    return rows + _pool_shares(rows) + _pool(pixels) + _pool(voxels)
+
+
+def gate_scores(errors: Sequence[str], transforms: Sequence[str], settings: Mapping) -> list[dict]:
+    """Rows of the table `calibration_gates`: how the gates treat right and wrong keyframes of all drives.
+
+    Args:
+        errors, transforms: `evaluate_calibration/<drive>/errors.csv` and transforms.csv, one of each per drive.
+        settings: keys of CalibrationSettings the keyframes were judged by.
+    """
+    if not errors:
+        return []
+    q = build(CalibrationSettings, settings, "calibrate_keyframe.settings").quality
+    limits = {"median_distance_m": q.max_distance_m, "sigma_x_px": q.max_sigma_px, "edge_margin_px": q.min_edge_margin_px}
+    tables = (
+        pd.concat([read_csv(p, ("keyframe",), "evaluate_calibration").assign(drive=Path(p).parent.name) for p in paths], ignore_index=True)
+        for paths in (errors, transforms)
+    )
+    rows, dataset = [], _common([Path(p).parent.name for p in errors])
+    for r in limit_gates(*tables, limits).to_dict("records"):
+        unit = r["gate"].rsplit("_", 1)[1]
+        for metric, value, of, n in (
+            ("limit", r["limit"], unit, r["n_good"]), ("limit_95", r["limit_95"], unit, r["n_good"]),
+            ("good_passed", r["good_passed"], "%", r["n_good"]), ("wrong_passed", r["wrong_passed"], "%", r["n_wrong"]),
+        ):  # fmt: skip
+            rows.append(make_score("calibration_gates", r["gate"], "", metric, value, of, n, dataset, "keyframes"))
+    return rows
 
 
 def _pool_shares(rows: Sequence[dict]) -> list[dict]:
@@ -229,13 +266,15 @@ def draw_recalibrations(figures: Sequence[str]) -> list[Section]:
     return [Section("recalibrated", "Calibrated again and again", "", shown)] if shown else []
 
 
-def draw_calibrations(folders: Sequence[str], summaries: Sequence[str], settings: Mapping) -> list[Section]:
+def draw_calibrations(folders: Sequence[str], summaries: Sequence[str], settings: Mapping, detected: Sequence[str] = ()) -> list[Section]:
     """A section per drive with the verdicts and pictures of its keyframes, and what each check found.
 
     Args:
         folders, summaries: of calibrate_keyframe, `<drive>/<keyframe>/pictures` and summary.csv, one of each per keyframe.
         settings: keys of CalibrationSettings they were calibrated by.
+        detected: of detect_dynamic, `<drive>/pictures`, one per drive.
     """
+    boxes = {Path(path).parent.name: Path(path) for path in detected}
     asked = build(CalibrationSettings, settings, "calibrate_keyframe.settings")
     sections, keyframes = [], [Path(path).parts[-3:-1] for path in folders]
     for drive in dict.fromkeys(d for d, _ in keyframes):
@@ -248,6 +287,8 @@ def draw_calibrations(folders: Sequence[str], summaries: Sequence[str], settings
             verdict = f"{row.status}{f': {reason}' if reason else ''}"
             who = f"keyframe {keyframe} of {title(drive)}"
             files = [(name, folder / f"{kind}.png") for kind, name in _CALIBRATION_PICTURES.items() if (folder / f"{kind}.png").is_file()]
+            if files and of in boxes and (boxes[of] / f"{keyframe}.png").is_file():
+                files.append(("Found moving things", boxes[of] / f"{keyframe}.png"))
             caption = f"{who.capitalize()} ({verdict}): points of the lidar red nearby, green far off, those of matched objects blue."
             shown = [Gallery(f"calibrated-{drive}-{keyframe}-g", [(name, embed(path, f"{name}, {who}")) for name, path in files], caption)]
             # A keyframe without clouds was not calibrated: there is nothing it was judged by.
@@ -296,13 +337,18 @@ def _median(values: pd.Series) -> float:
 
 def draw_keyframes(inputs: Mapping[str, Sequence[str]], settings: Mapping) -> list[Section]:
     """The sections of `models`, `calibrated` with their `verdicts` under `settings`, and `recalibration_figures`."""
-    of_keyframes = draw_reconstructions(inputs["models"]) + draw_calibrations(inputs["calibrated"], inputs["verdicts"], settings)
+    of_keyframes = draw_reconstructions(inputs["models"]) + draw_calibrations(
+        inputs["calibrated"], inputs["verdicts"], settings, inputs["detected"]
+    )
     return of_keyframes + draw_recalibrations(inputs["recalibration_figures"])
 
 
-def all_scores(inputs: Mapping[str, Sequence[str]]) -> list[dict]:
-    """Rows of the tidy scores of `reconstructions`, `detections`, `calibrations` and `recalibrations`, each of the step of its name, and
-    of the time that `model_summaries` and `verdicts` tell."""
+def all_scores(inputs: Mapping[str, Sequence[str]], settings: Mapping) -> list[dict]:
+    """Rows of the tidy scores of `reconstructions`, `detections`, `calibrations` and `recalibrations`, each of the step of its name, of
+    the time that `model_summaries` and `verdicts` tell, and of the gates of `settings` over `calibration_errors` and
+    `calibration_transforms`.
+    """
     of_images = reconstruction_scores(inputs["reconstructions"]) + detection_scores(inputs["detections"])
     of_keyframes = calibration_scores(inputs["calibrations"]) + runtime_scores(inputs["model_summaries"], inputs["verdicts"])
+    of_keyframes += gate_scores(inputs["calibration_errors"], inputs["calibration_transforms"], settings)
     return of_images + of_keyframes + recalibration_scores(inputs["recalibrations"])

@@ -43,6 +43,8 @@ def checks_of(row: Mapping, settings: CalibrationSettings) -> list[Check]:
         most("Median distance of matched objects from the camera's surfaces", "median_distance_m", q.max_distance_m, "m"),
         most("Deviation that clouds and way leave open across the image", "sigma_x_px", q.max_sigma_px, "px"),
         _told(row, "... and up and down", "sigma_y_px", "px"),
+        most("Way of the lidar when the scale is left to the clouds", "free_shift_m", q.max_free_shift_m, "m"),
+        _told(row, "... and that scale", "free_scale", "fraction"),
         least("Edges: how much nearer than with the camera turned", "edge_margin_px", q.least_margin_px(row.get("n_shots", 1)), "px"),
         _told(row, "Edges: distance under this calibration", "edge_px", "px"),
         _told(row, "Edges: distance under the calibration in force", "edge_before_px", "px"),
@@ -79,16 +81,16 @@ def _better(row: Mapping, q: QualitySettings) -> list[Check]:
     f = {figure: _value(row, figure) for figure in ("gain_m", "gain_std_m", "edge_gain_px", "edge_gain_std_px")}
     if pd.isna(f["gain_m"]):
         return [Check(names[0], "none is in force to be better than", "", "")]
-    bend = _value(row, "bend_deg")
-    says = judge_gain(f | {"bend_deg": 0.0 if pd.isna(bend) else bend}, q)
+    bend, n_common = _value(row, "bend_deg"), _value(row, "n_common_edges")
+    says = judge_gain(f | {"bend_deg": 0.0 if pd.isna(bend) else bend, "n_common_edges": n_common}, q)
     judged = {sensor: "passes" if is_gain else "fails" for sensor, is_gain in says.items()}
     noise, least = _text(SURE * f["edge_gain_std_px"], "px"), _text(max(q.min_gain_m, SURE * f["gain_std_m"]), "m")
-    clouds = f"at least {least}" if "clouds" in judged else "no say: edges corrected its way"
+    clouds = f"at least {least}" if "clouds" in judged else "no say: edges corrected its way, or see another camera"
     edges = f"no loss beyond {noise}" if "clouds" in judged else f"above {noise}"
-    return [
-        Check(names[0], clouds, _text(f["gain_m"], "m"), judged.get("clouds", "")),
-        Check(names[1], edges, _text(f["edge_gain_px"], "px"), judged["edges"]),
-    ]
+    of_clouds = Check(names[0], clouds, _text(f["gain_m"], "m"), judged.get("clouds", ""))
+    if "edges" not in judged:
+        return [of_clouds, Check(names[1], "no say: none is in view under both", "", "")]
+    return [of_clouds, Check(names[1], edges, _text(f["edge_gain_px"], "px"), judged["edges"])]
 
 
 def _value(row: Mapping, figure: str) -> float:

@@ -201,11 +201,13 @@ def nearby_alignments(lidar: CloudObjects, sfm: CloudObjects) -> list[Alignment]
 
 
 def find_places(
-    lidar: CloudObjects, sfm: CloudObjects, target: "PlaneTarget", view: View, settings: AlignmentSettings, is_one_way: bool = False
-) -> list[Alignment]:
+    voted: Sequence[Alignment], lidar: CloudObjects, sfm: CloudObjects, target: "PlaneTarget", view: View, settings: AlignmentSettings,
+    is_one_way: bool = False,
+) -> list[Alignment]:  # fmt: skip
     """The places within the window where most of both clouds lies on the other, best first and apart from each other.
 
     Args:
+        voted: of `vote_alignments`.
         lidar, sfm: objects of the two clouds.
         target: the camera's cloud for ICP.
         view: the image, which tells what of the lidar's points the camera's cloud could hold.
@@ -213,7 +215,7 @@ def find_places(
         is_one_way: whether x of both level frames is the way the vehicle goes.
     """
     s = settings
-    candidates = vote_alignments(lidar, sfm, s)
+    candidates = [replace(a) for a in voted]
     if s.is_searched:
         candidates += search_alignments(lidar, sfm, s)
         candidates += nearby_alignments(lidar, sfm) if is_one_way else []

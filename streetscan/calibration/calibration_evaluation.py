@@ -15,7 +15,7 @@ a queue of cars and trams, which hides what stands still from both sensors.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -44,14 +44,15 @@ N_FEATURES = 10
 _MOVING_MPS = 0.1
 COLUMNS = (
     "keyframe", "status", "stage", "speed_kmh", "x_px", "x_deviation_px", "y_px", "y_deviation_px", "all_x_px", "all_x_deviation_px",
-    "all_y_px", "all_y_deviation_px", "n_points", "median_distance_m", "edge_margin_px", "sigma_x_px", "sigma_y_px", "movable_share",
+    "all_y_px", "all_y_deviation_px", "n_points", "median_distance_m", "edge_margin_px", "sigma_x_px", "sigma_y_px", "hausdorff_m",
+    "n_lidar_voxels", "n_sfm_voxels", "movable_share",
 )  # fmt: skip
-# What the gates look at, of COLUMNS.
-_GATES = ("median_distance_m", "edge_margin_px", "sigma_x_px", "sigma_y_px")
-# ASSUME: a keyframe is truly good when no axis' mean error over all static points is above this; the thesis' projections are at 2.6 to 3.1.
-GOOD_PX = 2.0
+# Of COLUMNS what calibrate_keyframe found.
+_FIGURES = ("median_distance_m", "edge_margin_px", "sigma_x_px", "sigma_y_px", "hausdorff_m", "n_lidar_voxels", "n_sfm_voxels")
 HARD_SHARE = 0.25
-_GATE_SHARE = 0.95
+# ASSUME: a keyframe is truly good, and should pass the gates, when its transform is within these.
+GOOD_DEG, GOOD_M = 0.3, 0.2
+GATE_SHARE = 0.95
 # ASSUME: a calibration is wrong beyond any of these, of its transform and of its feature points' mean error along an axis: about twice the
 # thesis' projections, and more than a user of the cloud would overlook.
 WRONG_DEG, WRONG_M, WRONG_PX = 1.0, 0.3, 5.0
@@ -164,7 +165,7 @@ def score_keyframe(calibration: dict, keyframe: int, truth: TruePixels | None, m
                     row |= {f"{prefix}{name}_px": mean, f"{prefix}{name}_deviation_px": deviation}
             row["n_points"] = len(errors)
         if stage == "final":
-            row |= {name: calibration["figures"].get(name, np.nan) for name in _GATES}
+            row |= {name: calibration["figures"].get(name, np.nan) for name in _FIGURES}
         rows.append(row)
     return rows
 
@@ -250,9 +251,9 @@ def summarize_errors(errors: pd.DataFrame, transforms: pd.DataFrame, history: pd
         history: of calibrate_drive, a row per keyframe.
     Returns:
         the share of accepted keyframes, of all and off the hard stretches (`accepted_open`), their mean pixel errors by speed (stage
-        `final`) and stage by stage, how bad accepted ones are at their worst (stage `worst`), the errors of the drive's transform, of what
-        the gates look at the limits that let 95 % of the truly good keyframes pass (stage `gate`), and how a shift of the camera was
-        noticed (stage `shift`).
+        `final`) and stage by stage, how bad accepted ones are at their worst (stage `worst`), how many have which status (stage `status`),
+        medians of the clouds' Hausdorff distance and voxels, the errors of the drive's transform and its own deviations, and how a shift of
+        the camera was noticed (stage `shift`).
 
     Stages are compared on the same keyframes, those that have every stage; `n_with_stage` tells how many have this one.
     """
@@ -274,8 +275,12 @@ def summarize_errors(errors: pd.DataFrame, transforms: pd.DataFrame, history: pd
             rows += _means_of(name, stage, own[with_stage & has_all])
             rows.append((name, stage, "n_with_stage", float(with_stage.sum()), "", own["keyframe"].nunique()))
         rows += _means_of(name, "final", own[own["stage"] == "final"]) if len(own) else []
+    rows += [("", "status", status, float(count), "", n) for status, count in finals["status"].value_counts().items()]
+    found = errors[errors["stage"] == "final"]
+    for metric, own in (("hausdorff_m", found[found["status"] == "ok"]), ("n_lidar_voxels", found), ("n_sfm_voxels", found)):
+        known = own[metric].dropna().astype(float)
+        rows.append(("", "", metric.removesuffix("_m"), float(known.median()), "m" * metric.endswith("_m"), len(known)))
     rows += _worst_of(errors, transforms)
-    rows += _gates_of(errors)
     for row in transforms[transforms["keyframe"] == "drive"].to_dict("records"):
         for column, metric, unit in (
             ("rotation_deg", "rotation", "deg"),
@@ -287,6 +292,8 @@ def summarize_errors(errors: pd.DataFrame, transforms: pd.DataFrame, history: pd
             ("bend_std_deg", "bend_sigma", "deg"),
         ):
             rows.append(("", "drive", metric, row[column], unit, int((finals["status"] == "ok").sum())))
+        for metric, sigma, error in (("rotation_ratio", "sigma_deg", "rotation_deg"), ("translation_ratio", "sigma_m", "translation_m")):
+            rows.append(("", "drive", metric, row[sigma] / row[error] if row[error] else np.nan, "fraction", int(is_ok.sum())))
     rows += _shift_of(transforms[transforms["keyframe"] != "drive"], history)
     return pd.DataFrame(rows, columns=["set", "stage", "metric", "value", "unit", "n"])
 
@@ -347,15 +354,28 @@ def _first(flags: np.ndarray) -> float:
     return float(flags.argmax()) + 1 if flags.any() else np.nan
 
 
-def _gates_of(errors: pd.DataFrame) -> list[tuple]:
-    """Rows of the limits: from above for distances and deviations, from below for the margin of the edges; none without true pixels."""
-    final = errors[errors["stage"] == "final"].dropna(subset="all_x_px")
-    if len(final) == 0:
-        return []
-    good = final[(final["all_x_px"] <= GOOD_PX) & (final["all_y_px"] <= GOOD_PX)]
-    rows = [("", "gate", "n_good", float(len(good)), "", len(final))]
-    for name in _GATES:
-        share = 1 - _GATE_SHARE if name == "edge_margin_px" else _GATE_SHARE
-        values = good[name].dropna()
-        rows.append(("", "gate", name, float(values.quantile(share)) if len(values) else np.nan, name.rsplit("_", 1)[1], len(values)))
-    return rows
+def limit_gates(errors: pd.DataFrame, transforms: pd.DataFrame, limits: Mapping[str, float]) -> pd.DataFrame:
+    """How each gate treats keyframes that truth calls good, within `GOOD_DEG` and `GOOD_M`, and the others that were calibrated.
+
+    Args:
+        errors, transforms: rows of `score_keyframe` and `score_transform` of one or several drives, with a column `drive`.
+        limits: what each gate asks for, by a column of `errors`; `edge_margin_px` at least, all else at most.
+    Returns:
+        for each gate `gate`, `limit`; `limit_95`, with which 95 % of the good ones would pass; `good_passed` and `wrong_passed`, per cent
+        of `n_good` and `n_wrong`.
+    """
+    # Read from a file the names of keyframes may have become numbers.
+    own, theirs = (t.assign(keyframe=t["keyframe"].astype(str).str.zfill(2)) for t in (errors[errors["stage"] == "final"], transforms))
+    found = own.merge(theirs, on=["drive", "keyframe"], suffixes=("", "_of_transform"))
+    found = found[found["rotation_deg"].notna()]
+    is_good = (found["rotation_deg"] <= GOOD_DEG) & (found["translation_m"] <= GOOD_M)
+    rows = []
+    for name, limit in limits.items():
+        sign = -1.0 if name == "edge_margin_px" else 1.0
+        values = sign * found[name].astype(float)
+        passed = values <= sign * limit
+        known = np.sort(values[is_good].dropna())
+        least = sign * float(known[math.ceil(GATE_SHARE * len(known)) - 1]) if len(known) else np.nan
+        shares = [100 * float(passed[rows_of].mean()) if rows_of.any() else np.nan for rows_of in (is_good, ~is_good)]
+        rows.append((name, limit, least, *shares, int(is_good.sum()), int((~is_good).sum())))
+    return pd.DataFrame(rows, columns=["gate", "limit", "limit_95", "good_passed", "wrong_passed", "n_good", "n_wrong"])

@@ -31,14 +31,16 @@ from streetscan.registration.odometry import FramePose
 # Numbers of a keyframe in its row; those its status did not let be found are empty.
 FIGURES = (
     "n_lidar_objects", "n_sfm_objects", "n_lidar_voxels", "n_sfm_voxels", "n_lidar_columns", "n_places", "n_rivals", "n_matched", "n_icp",
-    "icp_rmse_m", "scale", "way_off_deg", "bend_icp_deg", "bend_deg", "bend_found_deg", "bend_std_deg",
+    "icp_rmse_m", "scale", "free_scale", "free_shift_m", "way_off_deg", "bend_icp_deg", "bend_deg", "bend_found_deg", "bend_std_deg",
     "median_distance_m", "hausdorff_m", "sigma_x_px", "sigma_y_px", "n_shots", "edge_px", "edge_before_px", "edge_margin_px",
     "distance_before_m", "distance_after_m", "gain_m", "gain_std_m", "edge_gain_px", "edge_gain_std_px",
+    "n_common_edges",
 )  # fmt: skip
 SECONDS = ("raw", "objects", "alignment", "icp", "curves", "motion", "quality")
 _MEANING = {
     "projection": "pixel (homogeneous, rectified image, centres at integers) = projection @ (point, 1), raw points of this lidar frame",
-    "T_camera_lidar": "p_camera = T_camera_lidar @ p_lidar, sensors as mounted, metres",
+    "T_camera_lidar": "p_camera = T_camera_lidar @ p_lidar, sensors as mounted, metres; where the lidar's motion is not known (no stage "
+    "motion), with what the vehicle moved between the stamps",
     "T_camera_stamp": "the same for the lidar at its stamp and the camera at the image's: with the motion between them",
 }
 _COVARIANCE = "of T_camera_stamp as far as clouds and way tell: rotation vector (rad) and shift (m) in the camera's axes"
@@ -190,9 +192,8 @@ def read_results(
         figures = {name: np.radians(found["figures"].get(name, unknown)) for name, unknown in _BEND_FIGURES.items()}
         bend = Bend(float(figures["bend_found_deg"]), float(figures["bend_std_deg"]))
         response = np.array(found["bend_response"])
-        result = KeyframeResult(
-            keyframe.index, found["status"], T, motion, evidence, covariance, bend, float(figures["bend_deg"]), response
-        )
+        told = bend, float(figures["bend_deg"]), response, found["reason"]
+        result = KeyframeResult(keyframe.index, found["status"], T, motion, evidence, covariance, *told)
         results.append(result)
     return results
 
@@ -200,16 +201,16 @@ def read_results(
 def write_drive_calibration(
     path: str | Path, made: DriveCalibration, results: Sequence[KeyframeResult], camera: CameraModel | None
 ) -> None:
-    """Write a drive's calibration as YAML; null where no keyframe was accepted."""
-    is_found = made.status == "ok"
+    """Write a drive's calibration as YAML; null where no keyframe was accepted and none was in force."""
+    is_found, is_known = made.status == "ok", made.status in ("ok", "kept")
     sigmas = np.sqrt(np.diag(made.covariance))
     found = describe_camera(camera) | {
         "status": made.status,
         "keyframes": dict(Counter(r.status for r in results)),
         "used": {f"{k:02d}": round(float(w), 4) for k, w in zip(made.used, made.weights, strict=True)},
-        "T_camera_lidar": made.T_camera_lidar.tolist() if is_found else None,
+        "T_camera_lidar": made.T_camera_lidar.tolist() if is_known else None,
         "T_camera_lidar_is": _MEANING["T_camera_lidar"],
-        "projection": linear_of(made.T_camera_lidar, camera.K).tolist() if is_found else None,
+        "projection": linear_of(made.T_camera_lidar, camera.K).tolist() if is_known and camera is not None else None,
         "projection_is": "K T_camera_lidar: of points freed of motion, measured from where the lidar was when the image was taken",
         "time_offset_s": made.time_offset_s if is_found else None,
         "time_offset_is": "what the images' stamps are ahead of the lidar's clock",

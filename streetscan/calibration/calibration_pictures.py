@@ -1,5 +1,6 @@
 """Pictures of a calibrated keyframe as the thesis shows them: Figs. 4.5-4.9, 4.11 and 4.13."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,7 +10,7 @@ from scipy.spatial import cKDTree
 
 from streetscan.benchmarks.rendering import View, render_cloud
 from streetscan.calibration.keyframe_calibration import KeyframeCalibration, KeyframeClouds
-from streetscan.calibration.linear_projection import project_linear
+from streetscan.calibration.linear_projection import linear_of, project_linear
 from streetscan.calibration.objects import FLAT, LINEAR, SCATTERED, UNSHAPED, CloudObjects, ObjectSettings, find_objects
 from streetscan.geometry import apply, invert
 from streetscan.registration.frame_pictures import write_picture
@@ -31,11 +32,12 @@ def write_pictures(folder: Path, made: KeyframeCalibration, clouds: KeyframeClou
     """Write what was made of a keyframe into an existing folder; `objects` is what its objects were found with.
 
     `lidar_objects.png`, `sfm_objects.png` (Fig. 4.5e), `lidar_pillars.png`, `sfm_pillars.png` (Fig. 4.5d), `lidar_shapes.png`,
-    `sfm_shapes.png` (Fig. 4.5c), `aligned_raw.png` (Fig. 4.6d, by objects with moving things left in), `aligned_objects.png` (Fig. 4.6e),
-    `aligned.png` (Fig. 4.8: lidar orange, camera's cloud grey), `curves.png` (Fig. 4.9), `overlay.png` (Fig. 4.11: points by
-    distance, objects blue) and of earlier stages `overlay_raw.png`, `overlay_before.png` (by objects, with and without moving things)
-    and `overlay_curves.png` (after T*, Fig. 4.8); `matched.png` (Figs. 4.7 and 4.13: the matched objects of both clouds from above, a
-    colour each, the camera's lighter).
+    `sfm_shapes.png` (Fig. 4.5c), `aligned_start.png` (Fig. 4.6c: both clouds level, as they came), `aligned_raw.png` (Fig. 4.6d, by
+    objects with moving things left in), `aligned_objects.png` (Fig. 4.6e), `aligned_curves.png` (Fig. 4.8: after ICP and T*; lidar orange,
+    camera's cloud grey), `aligned.png` (the outcome), `curves.png` (Fig. 4.9), `overlay.png` (Fig. 4.11: points by distance, objects blue)
+    and before it `overlay_initial.png` (by the calibration in force), of earlier stages `overlay_raw.png`, `overlay_before.png` (by
+    objects, with and without moving things) and `overlay_curves.png` (after T*); `matched.png` (Figs. 4.7 and
+    4.13: the matched objects of both clouds from above, a colour each, the camera's lighter).
     """
     pictures = {}
     for name in ("lidar", "sfm"):
@@ -44,10 +46,15 @@ def write_pictures(folder: Path, made: KeyframeCalibration, clouds: KeyframeClou
             pillars = find_objects(cloud.points, np.eye(4), replace(objects, is_split=False))
             pictures |= {f"{name}_objects": _draw_objects(cloud), f"{name}_pillars": _draw_objects(pillars)}
             pictures[f"{name}_shapes"] = _draw_shapes(cloud)
+    if made.lidar is not None and made.sfm is not None:
+        pictures["aligned_start"] = _draw_aligned(made.lidar, made.sfm, invert(made.sfm.T_level_cloud) @ made.lidar.T_level_cloud)
+    if clouds.T_initial is not None:
+        before = clouds.T_initial if clouds.motion is None else clouds.T_initial @ invert(clouds.motion.at([clouds.motion.image_s])[0])
+        pictures["overlay_initial"] = _overlay(made, clouds, linear_of(before, clouds.view.K))
     if made.raw is not None:
         pictures["aligned_raw"] = _draw_aligned(*made.raw)
-    if made.alignment is not None:
-        pictures["aligned_objects"] = _draw_aligned(made.lidar, made.sfm, made.alignment.T_sfm_lidar)
+    if made.voted:
+        pictures["aligned_objects"] = _draw_aligned(made.lidar, made.sfm, made.voted[0].T_sfm_lidar)
     for stage, name in _OVERLAYS.items():
         if stage in made.stages:
             pictures[name] = _overlay(made, clouds, made.stages[stage])
@@ -60,6 +67,7 @@ def write_pictures(folder: Path, made: KeyframeCalibration, clouds: KeyframeClou
         pictures["overlay"] = _overlay(made, clouds, made.projection)
     if made.curves is not None:
         pictures["curves"] = _draw_curves(made)
+        pictures["aligned_curves"] = _draw_aligned(made.lidar, made.sfm, made.T_icp, made.curves.move)
     for name, picture in pictures.items():
         write_picture(folder / f"{name}.png", picture)
 
@@ -83,11 +91,13 @@ def _draw_shapes(cloud: CloudObjects) -> np.ndarray:
     return render_cloud((cloud.voxels + 0.5) * voxel_m, _SHAPE_COLOURS[cloud.voxel_shapes], _BEHIND, voxel_m, background=(250, 250, 250))
 
 
-def _draw_aligned(lidar: CloudObjects, sfm: CloudObjects, T_sfm_lidar: np.ndarray) -> np.ndarray:
-    """What stands in both clouds: lidar orange, camera's cloud grey."""
+def _draw_aligned(
+    lidar: CloudObjects, sfm: CloudObjects, T_sfm_lidar: np.ndarray, move: Callable[[np.ndarray], np.ndarray] = lambda points: points
+) -> np.ndarray:
+    """What stands in both clouds: lidar orange, camera's cloud grey; `move` takes the lidar's points in the frame `sfm` on from there."""
     own = lidar.points[(lidar.heights_m > 0.3) & (lidar.heights_m < 4.0)]
     theirs = sfm.points[(sfm.heights_m > 0.3) & (sfm.heights_m < 4.0)]
-    moved = apply(sfm.T_level_cloud @ T_sfm_lidar @ invert(lidar.T_level_cloud), own)
+    moved = apply(sfm.T_level_cloud, move(apply(T_sfm_lidar @ invert(lidar.T_level_cloud), own)))
     colours = np.concatenate([np.tile(_LIDAR, (len(own), 1)), np.tile(_CAMERA, (len(theirs), 1))]).astype(np.uint8)
     return render_cloud(np.concatenate([moved, theirs]), colours, _ABOVE, 0.1, background=(250, 250, 250))
 

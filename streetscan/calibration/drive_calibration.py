@@ -32,7 +32,8 @@ class DriveCalibrationSettings:
     """How keyframes are combined.
 
     Attributes:
-        offset_std_s: expected size of the time offset.
+        offset_std_s: expected size of the time offset. Where keyframes of different speeds or turns tell a larger one by more than twice
+            its deviation, that size is expected instead; where all are alike they cannot.
         keyframe_m, keyframe_deg: deviation of one keyframe along and about each axis, beside what its clouds leave open.
         n_known: keyframes they count as.
         n_bootstrap: samples of keyframes drawn for the bootstrap.
@@ -65,6 +66,7 @@ class KeyframeResult:
         bend: error of the way of the camera that image edges tell, and its deviation, infinite where they tell none.
         bend_made_rad: how much of it T_camera_stamp is corrected by.
         bend_response: (6,) turn and shift of T_camera_stamp in the camera's axes for each radian of such an error.
+        reason: what was found, where it was refused.
     """
 
     index: int
@@ -76,6 +78,7 @@ class KeyframeResult:
     bend: Bend = UNTOLD
     bend_made_rad: float = 0.0
     bend_response: np.ndarray = field(default_factory=lambda: np.zeros(6))
+    reason: str = ""
 
     def T_camera_lidar(self, time_offset_s: float = 0.0) -> np.ndarray:
         """(4, 4) of the sensors as mounted, for a time offset of the images' stamps."""
@@ -93,8 +96,8 @@ class DriveCalibration:
     """The calibration of a drive.
 
     Attributes:
-        status: `ok`, or `no_keyframes` when none was accepted.
-        T_camera_lidar: (4, 4) rigid, of the sensors on the vehicle; NaN without keyframes.
+        status: `ok`; when no keyframe was accepted `kept`, if a calibration was in force before, or else `no_keyframes`.
+        T_camera_lidar: (4, 4) rigid, of the sensors on the vehicle: what was found, or kept; else NaN.
         time_offset_s: what the images' stamps are ahead of the lidar's clock.
         covariance: (7, 7) of x, y, z of T_camera_lidar (m), a rotation vector about the lidar's axes (rad) and the offset (s).
         weights: (K,) of the accepted keyframes, 0 to 1.
@@ -114,18 +117,20 @@ class DriveCalibration:
 
 
 def combine_keyframes(
-    keyframes: Sequence[KeyframeResult], settings: DriveCalibrationSettings = DriveCalibrationSettings(), seed: int = 0
-) -> DriveCalibration:
+    keyframes: Sequence[KeyframeResult], settings: DriveCalibrationSettings = DriveCalibrationSettings(), seed: int = 0,
+    T_in_force: np.ndarray | None = None,
+) -> DriveCalibration:  # fmt: skip
     """The calibration that accepted keyframes agree on; one that disagrees loses its weight.
 
     Args:
         keyframes: of one mounting.
         settings: see DriveCalibrationSettings.
         seed: of the bootstrap.
+        T_in_force: (4, 4) T_camera_lidar before the drive, which stays where no keyframe is accepted (N-233); None where there is none.
     """
     accepted = [k for k in keyframes if k.status == "ok"]
     if not accepted:
-        return DriveCalibration("no_keyframes")
+        return DriveCalibration("no_keyframes") if T_in_force is None else DriveCalibration("kept", T_in_force)
     bend = pool_bends(accepted)
     is_straightened = abs(bend.rad) > settings.sure_bend * bend.std_rad
     if is_straightened:
@@ -228,6 +233,9 @@ class _Fit:
 def _fit(poses: np.ndarray, ways: np.ndarray, covariances: np.ndarray, s: DriveCalibrationSettings) -> _Fit:
     """Weighted mean of poses (K, 4, 4) and a common offset along their ways (K, 6); Tukey's weights, from the median on.
 
+    The offset is expected to be as large as it is found, if that is more than `offset_std_s`: it then grows to what the poses tell where
+    they tell it by more than twice its deviation, and stays small elsewhere.
+
     `covariances` (K, 6, 6) are of a turn and a shift in the camera's axes: a keyframe counts in the directions it knows.
     """
     n, weights, offset = len(poses), np.ones(len(poses)), 0.0
@@ -236,15 +244,16 @@ def _fit(poses: np.ndarray, ways: np.ndarray, covariances: np.ndarray, s: DriveC
     # How turn, shift and offset show in a keyframe's turn and shift.
     A = np.tile(np.eye(6, 7), (n, 1, 1))
     A[:, :, 6] = ways
-    for _ in range(12):
+    for _ in range(30):
         errors = steps_between(T, poses) - A[:, :, 6] * offset
         spread = np.sqrt(_squares(errors, information))
         # A keyframe never loses all its weight: two that disagree would leave none.
         weights = np.maximum(np.clip(1 - (spread / (4.0 * max(1.0, float(np.median(spread))))) ** 2, 0, None) ** 2, 1e-3)
         AW = A.transpose(0, 2, 1) @ (information * weights[:, None, None])
         H, b = (AW @ A).sum(axis=0), (AW @ errors[:, :, None]).sum(axis=0)[:, 0]
-        H[6, 6] += 1 / s.offset_std_s**2
-        b[6] -= offset / s.offset_std_s**2
+        prior = np.diag([0] * 6 + [1 / max(s.offset_std_s, abs(offset)) ** 2])
+        H += prior
+        b -= prior[6] * offset
         step = np.linalg.solve(H, b)
         T, offset = moved_by(T, step[:6]), offset + float(step[6])
         if np.abs(step).max() < 1e-7:
@@ -253,7 +262,7 @@ def _fit(poses: np.ndarray, ways: np.ndarray, covariances: np.ndarray, s: DriveC
     squares = weights @ _squares(errors, information)
     # The offset's own deviation is no scatter of the keyframes.
     scatter = (s.n_known + squares) / (s.n_known + weights.sum())
-    inverse = np.linalg.inv((H - np.diag([0] * 6 + [1 / s.offset_std_s**2])) / scatter + np.diag([0] * 6 + [1 / s.offset_std_s**2]))
+    inverse = np.linalg.inv((H - prior) / scatter + prior)
     change = _to_lidar(T)
     return _Fit(T, offset, change @ inverse @ change.T, weights)
 
@@ -289,10 +298,10 @@ def follow_drive(keyframes: Sequence[KeyframeResult], settings: DriveCalibration
     Within one mounting a keyframe replaces the one in force when it fits the evidence of both better, for each has chosen its own; when the
     mounting has moved, the newest of the new one does.
 
-    Columns: `keyframe`, `status`; `distance_before_m` and `distance_m` of both keyframes' evidence under the calibration in force and under
-    the keyframe's own; `deviation` from the mounting that held so far (see `keyframes_in_force`); `is_shifted`, whether it is too large, so
-    that the mounting must have moved or the keyframe is wrong; `action` (`kept`, `replaced`, `none`); `in_force`, the keyframe whose
-    calibration is in force afterwards, or -1.
+    Columns: `keyframe`, `status`, `reason` (why it was refused); `distance_before_m` and `distance_m` of both keyframes' evidence under the
+    calibration in force and under the keyframe's own; `deviation` from the mounting that held so far (see `keyframes_in_force`);
+    `is_shifted`, whether it is too large, so that the mounting must have moved or the keyframe is wrong; `action` (`kept`, `replaced`,
+    `none`); `in_force`, the keyframe whose calibration is in force afterwards, or -1.
     """
     s, rows, in_force = settings, [], None
     for k, (held, deviation) in zip(keyframes, _follow_mounting(keyframes, s), strict=True):
@@ -307,8 +316,9 @@ def follow_drive(keyframes: Sequence[KeyframeResult], settings: DriveCalibration
             if any(h is k for h in held) and (has_moved or after < (1 - s.min_gain) * before):
                 action, in_force = "replaced", k
         is_shifted = bool(deviation > s.max_deviation)
-        rows.append((f"{k.index:02d}", k.status, before, after, deviation, is_shifted, action, -1 if in_force is None else in_force.index))
-    columns = ["keyframe", "status", "distance_before_m", "distance_m", "deviation", "is_shifted", "action", "in_force"]
+        outcome = before, after, deviation, is_shifted, action, -1 if in_force is None else in_force.index
+        rows.append((f"{k.index:02d}", k.status, k.reason, *outcome))
+    columns = ["keyframe", "status", "reason", "distance_before_m", "distance_m", "deviation", "is_shifted", "action", "in_force"]
     return pd.DataFrame(rows, columns=columns)
 
 

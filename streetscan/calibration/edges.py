@@ -112,14 +112,17 @@ class EdgeCheck:
                 found[first:last][inside] = cv2.remap(shot.distance, u[None], v[None], cv2.INTER_LINEAR)[0]
         return np.minimum(found, self._settings.max_edge_px)
 
-    def sum_bundles(self, projections: Sequence[np.ndarray], is_kept: bool | None) -> tuple[np.ndarray, np.ndarray]:
+    def sum_bundles(
+        self, projections: Sequence[np.ndarray], is_kept: bool | None, seen_by: np.ufunc = np.logical_and
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Sums of distances of each bundle under n projections (B, n), and the bundles' edges (B,): those in view under all of them.
 
-        Bundles are nearly independent of each other; the edges within one are not.
+        Bundles are nearly independent of each other; the edges within one are not. With `logical_or` those in view under any count, an
+        edge out of view as one that has no image edge near it.
         """
         distances = np.stack([self._distances(p) for p in projections], axis=1)
-        seen = self._chosen(is_kept) & np.isfinite(distances).all(axis=1)
-        return sum_bundles(self._places[seen], distances[seen])
+        seen = self._chosen(is_kept) & seen_by.reduce(np.isfinite(distances), axis=1)
+        return sum_bundles(self._places[seen], np.nan_to_num(distances[seen], nan=self._settings.max_edge_px))
 
     def margin_px(self, projection: np.ndarray, K: np.ndarray, is_kept: bool | None = None) -> float:
         """By how much the mean distance of edges grows when the camera is turned to the left, or to the right if that is less.

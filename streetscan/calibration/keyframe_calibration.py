@@ -32,6 +32,7 @@ from streetscan.calibration.alignment import (
     prepare_target,
     refine_alignment,
     scale_of,
+    vote_alignments,
 )
 from streetscan.calibration.control_curves import ControlCurves, fit_curves
 from streetscan.calibration.edges import EdgeCheck, Shot, find_bend, make_shot, paired_gain, sum_bundles
@@ -41,11 +42,11 @@ from streetscan.calibration.objects import CloudObjects, ObjectSettings, count_c
 from streetscan.calibration.quality import SURE, QualitySettings, hausdorff_distance, judge_gain, plane_distances
 from streetscan.calibration.ways import MIN_WAY_M, LidarWay, Way, make_way
 from streetscan.errors import BadInput
-from streetscan.geometry import apply, invert, rotation_angle, steps_between, transform, transform_of_rotation
+from streetscan.geometry import apply, check_rotation, invert, rotation_angle, steps_between, transform, transform_of_rotation
 from streetscan.registration.ndt import thin_points
 
 # The stages whose projections are kept, in their order.
-STAGES = ("objects_raw", "objects", "icp", "curves", "motion", "edges")
+STAGES = ("objects_raw", "objects", "place", "icp", "curves", "motion", "edges")
 FINALS = ("curves", "motion", "edges")
 # Camera axes to forward, left, up.
 _UPRIGHT = transform_of_rotation(np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]]))
@@ -151,8 +152,11 @@ class KeyframeCalibration:
         bend_rad: error of the way of the camera, to its right, that its cloud was corrected by: of ICP and of edges.
         bend_response: (6,) turn (rotation vector) and shift (m) of T_camera_stamp in the camera's axes for each radian of such an error.
         lidar, sfm: objects of the two clouds.
-        raw: the same with all that moves left in, and the T_sfm_lidar (4, 4) found with them; None where there is nothing to compare.
-        alignment, control, curves: of the stages.
+        raw: the same with all that moves left in, and the T_sfm_lidar (4, 4) voted with them; None where there is nothing to compare.
+        voted: Algorithm 1's peaks, most votes first.
+        alignment: the place that was calibrated.
+        T_icp: (4, 4) T_sfm_lidar of ICP on the raw frame, from which the curves go on.
+        control, curves: of the stages.
         seconds: wall time of each stage.
     """
 
@@ -171,7 +175,9 @@ class KeyframeCalibration:
     lidar: CloudObjects | None = None
     sfm: CloudObjects | None = None
     raw: tuple[CloudObjects, CloudObjects, np.ndarray] | None = None
+    voted: Sequence[Alignment] = ()
     alignment: Alignment | None = None
+    T_icp: np.ndarray | None = None
     control: ControlPoints | None = None
     curves: ControlCurves | None = None
     seconds: dict[str, float] = field(default_factory=dict)
@@ -185,14 +191,20 @@ def calibrate_keyframe(clouds: KeyframeClouds, settings: CalibrationSettings = C
     Raises:
         BadInput: the calibration in force is no transform.
     """
-    if clouds.T_initial is not None and not np.isfinite(clouds.T_initial).all():
-        raise BadInput("T_camera_lidar in force", "a value that is not finite", "give a rigid transform, or none")
+    if clouds.T_initial is not None:
+        if not np.isfinite(clouds.T_initial).all():
+            raise BadInput("T_camera_lidar in force", "a value that is not finite", "give a rigid transform, or none")
+        check_rotation(clouds.T_initial[:3, :3], "T_camera_lidar in force")
     made = KeyframeCalibration()
     clock = _Clock(made.seconds)
     settings = replace(settings, alignment=replace(settings.alignment, icp=_know_cloud(settings.alignment.icp, clouds)))
     try:
         scene = _prepare(clouds, settings, made, clock)
-        places = find_places(made.lidar, made.sfm, scene.target, clouds.view, scene.alignment, _bearings(clouds, settings) is not None)
+        made.voted = vote_alignments(made.lidar, made.sfm, scene.alignment)
+        if made.voted:
+            made.stages["objects"] = linear_of(clouds.view.T_camera_sfm @ made.voted[0].T_sfm_lidar, clouds.view.K)
+        is_one_way = _bearings(clouds, settings) is not None
+        places = find_places(made.voted, made.lidar, made.sfm, scene.target, clouds.view, scene.alignment, is_one_way)
         clock.stop("alignment")
         if not places:
             raise CalibrationFailed("no_match", f"the clouds overlap nowhere by {100 * scene.alignment.min_overlap:.0f} %")
@@ -311,9 +323,9 @@ def _calibrate_at(
 def _register(c: KeyframeClouds, s: CalibrationSettings, scene: _Scene, made: KeyframeCalibration, clock: "_Clock") -> None:
     """ICP, control curves and projections from the place of `made` on."""
     view, target, icp = c.view, scene.target, s.alignment.icp
-    made.stages["objects"] = linear_of(view.T_camera_sfm @ made.alignment.T_sfm_lidar, view.K)
+    made.stages["place"] = linear_of(view.T_camera_sfm @ made.alignment.T_sfm_lidar, view.K)
     raw = refine_alignment(c.points_lidar[scene.takes_part], target, made.alignment.T_sfm_lidar, icp)
-    made.stages["icp"] = linear_of(view.T_camera_sfm @ raw.T_sfm_lidar, view.K)
+    made.T_icp, made.stages["icp"] = raw.T_sfm_lidar, linear_of(view.T_camera_sfm @ raw.T_sfm_lidar, view.K)
     clock.stop("icp")
     made.control = match_objects(made.lidar, target, raw.T_sfm_lidar)
     final = _fit_curves(c, s, made, raw.T_sfm_lidar)
@@ -331,6 +343,11 @@ def _register(c: KeyframeClouds, s: CalibrationSettings, scene: _Scene, made: Ke
             if moving is not None:
                 made.stages["edges"], final = moving.projection, moving
     made.bend_rad, target = registered.bend_rad, target.straightened(registered.bend_rad)
+    # What the clouds say of the scale when nothing else does: a wrong one that is held looks right, metres away.
+    free = refine_alignment(near, target, registered.T_sfm_lidar, replace(icp, scale_std=icp.max_scale))
+    made.figures["free_scale"] = 1 / scale_of(free.T_sfm_lidar)
+    moved = camera_of(view, free.T_sfm_lidar)[:3, 3] - camera_of(view, registered.T_sfm_lidar)[:3, 3]
+    made.figures["free_shift_m"] = float(np.linalg.norm(moved))
     made.figures["bend_icp_deg"] = float(np.degrees(registered.bend_rad)) - made.figures.get("bend_deg", 0.0)
     made.T_camera_stamp, made.covariance = camera_of(view, registered.T_sfm_lidar), _in_camera(registered.covariance, view)
     made.T_camera_lidar = made.T_camera_stamp if c.motion is None else c.motion.to_image(made.T_camera_stamp)
@@ -461,16 +478,15 @@ def _heading(T_level_cloud: np.ndarray, way: np.ndarray) -> float:
 
 
 def _align_raw(c: KeyframeClouds, s: CalibrationSettings, a: AlignmentSettings, made: KeyframeCalibration) -> None:
-    """The alignment of the clouds with all that moves in them; a stage for the tables alone, and none where it finds nothing."""
+    """The vote on the clouds with all that moves in them; a stage for the tables alone, and none where it finds nothing."""
     try:
         lidar, sfm = prepare_objects(c.points_lidar, c.points_sfm, c, s)
     except CalibrationFailed:
         return
-    target = prepare_target(c.points_sfm, c.cameras_sfm, c.view.K[0, 0], a.icp, _way_of(c, s))
-    places = find_places(lidar, sfm, target, c.view, a, _bearings(c, s) is not None)
-    if places:
-        made.raw = lidar, sfm, places[0].T_sfm_lidar
-        made.stages["objects_raw"] = linear_of(c.view.T_camera_sfm @ places[0].T_sfm_lidar, c.view.K)
+    voted = vote_alignments(lidar, sfm, a)
+    if voted:
+        made.raw = lidar, sfm, voted[0].T_sfm_lidar
+        made.stages["objects_raw"] = linear_of(c.view.T_camera_sfm @ voted[0].T_sfm_lidar, c.view.K)
 
 
 def _fit_curves(c: KeyframeClouds, s: CalibrationSettings, made: KeyframeCalibration, T_sfm_lidar: np.ndarray) -> LinearProjection | None:
@@ -516,7 +532,7 @@ def _measure(
     seen = c.view.sees(apply(T_sfm_lidar, points)) & c.is_static & (np.linalg.norm(points, axis=1) < s.objects.range_m)
     sigma_x, sigma_y = _pixel_sigmas(apply(made.T_camera_stamp, points[seen]), c.view.K, made.covariance)
     made.figures |= {"sigma_x_px": float(sigma_x), "sigma_y_px": float(sigma_y)}
-    made.figures["hausdorff_m"] = hausdorff_distance(apply(T_sfm_lidar, points[seen][::5]), target.points[::5])
+    made.figures["hausdorff_m"] = hausdorff_distance(apply(T_sfm_lidar, points[seen]), target.points)
     found = np.isfinite(distances)
     rows = np.flatnonzero(found)[:: max(1, found.sum() // _N_EVIDENCE)]
     nearest = straightened.tree.query(moved[rows])[1]
@@ -551,7 +567,8 @@ def _compare(
 
     Neither may choose what it is measured on: the points are all static ones that one of the two has in view, the planes are sought anew
     under each, and a point without any counts as far as the reach. Of two places that both explain what they see, the one farther ahead
-    sees more; between them it is what both have in view (`seen_by`). Deviations are over bundles of directions, as neighbours err alike.
+    sees more; between them it is what both have in view (`seen_by`). Edges are those both have in view; cameras that look different ways
+    have none in common, and then those either has. Deviations are over bundles of directions, as neighbours err alike.
     """
     points, reach = scene.points, s.alignment.icp.reaches_m[1]
     near = thin_points(points[c.is_static & (np.linalg.norm(points, axis=1) < s.objects.range_m)], 0.1)
@@ -562,10 +579,14 @@ def _compare(
     )
     sums, counts = sum_bundles(near, distances)
     gain, std = paired_gain(sums, counts)
-    edges = scene.check.sum_bundles([linear_of(T, c.view.K) for T in places], is_kept)
+    projections = [linear_of(T, c.view.K) for T in places]
+    edges = scene.check.sum_bundles(projections, is_kept)
+    n_common = int(edges[1].sum())
+    if n_common == 0 and seen_by is np.logical_or:
+        edges = scene.check.sum_bundles(projections, is_kept, seen_by)
     edge_gain, edge_std = paired_gain(*edges)
     means = sums.sum(axis=0) / counts.sum() if len(counts) else np.full(2, np.nan)
-    told = {"distance_before_m": means[0], "distance_after_m": means[1], "gain_m": gain, "gain_std_m": std}
+    told = {"distance_before_m": means[0], "distance_after_m": means[1], "gain_m": gain, "gain_std_m": std, "n_common_edges": n_common}
     return {name: float(v) for name, v in (told | {"edge_gain_px": edge_gain, "edge_gain_std_px": edge_std}).items()}
 
 
@@ -608,6 +629,9 @@ def _judge(made: KeyframeCalibration, q: QualitySettings) -> None:
         raise CalibrationFailed("far_apart", f"a median distance of {f['median_distance_m']:.3f} m of at most {q.max_distance_m:g} m")
     if not f["sigma_x_px"] <= q.max_sigma_px:
         raise CalibrationFailed("uncertain", f"a deviation of {f['sigma_x_px']:.1f} px of at most {q.max_sigma_px:g} px")
+    if not f["free_shift_m"] <= q.max_free_shift_m:
+        found = f"with the scale left free, {f['free_scale']:.3f}, the lidar moves by {f['free_shift_m']:.2f} m"
+        raise CalibrationFailed("scale_open", f"{found}, asked for at most {q.max_free_shift_m:g} m")
     if not f["edge_px"] < q.max_edge_px:
         raise CalibrationFailed("no_edges", "no image edge is near any edge that the lidar sees, or it sees none")
     least_px = q.least_margin_px(f["n_shots"])

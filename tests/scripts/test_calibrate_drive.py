@@ -6,6 +6,9 @@ import yaml
 from toy_calibration import T_CAMERA_LIDAR, calibrate_toy, combine_toy
 from toy_drives import write_drive
 
+from streetscan.frames import Mounting
+from streetscan.geometry import invert
+
 
 def test_the_drive_has_a_calibration_with_its_deviation(tmp_path, toy_inputs, calibrated):
     outputs = combine_toy(tmp_path, toy_inputs, calibrated)
@@ -34,3 +37,16 @@ def test_a_drive_without_intrinsics_goes_through(tmp_path, toy_inputs):
     found = yaml.safe_load(combine_toy(tmp_path, inputs, refused)["calibration_path"].read_text())
     assert (found["status"], found["keyframes"]) == ("no_keyframes", {"bad_intrinsics": 1})
     assert "camera_matrix" not in found
+
+
+def test_without_an_accepted_keyframe_the_user_s_own_stays(tmp_path, toy_inputs):
+    (tmp_path / "summary.csv").write_text("keyframe,status,reason,reference\n00,not_matched,no two images,-1\n")
+    own = Mounting("lidar", "camera", invert(T_CAMERA_LIDAR), "tape measure")
+    write_drive(tmp_path / "mounted.mcap", [np.ones((3, 3), np.float32)], (own,))
+    inputs = toy_inputs | {"model_summary_path": tmp_path / "summary.csv", "drive_path": tmp_path / "mounted.mcap"}
+    outputs = combine_toy(tmp_path, inputs, calibrate_toy(tmp_path, inputs))
+    found = yaml.safe_load(outputs["calibration_path"].read_text())
+    assert found["status"] == "kept"
+    np.testing.assert_allclose(found["T_camera_lidar"], T_CAMERA_LIDAR, atol=1e-9)
+    assert found["time_offset_s"] is None
+    assert pd.read_csv(outputs["history_path"])["reason"].tolist() == ["no two images"]

@@ -11,6 +11,7 @@ from streetscan.calibration.calibration_evaluation import (
     HARD_SHARE,
     TRANSFORM_COLUMNS,
     TruePixels,
+    limit_gates,
     score_keyframe,
     score_transform,
     summarize_errors,
@@ -202,3 +203,32 @@ def test_what_edges_of_a_drive_tell_of_the_camera_s_way_stands_beside_its_transf
         transforms = pd.DataFrame([drive], columns=TRANSFORM_COLUMNS)
         scores = summarize_errors(pd.DataFrame(columns=COLUMNS), transforms, history).set_index(["stage", "metric"])["value"]
         np.testing.assert_equal((scores["drive", "bend"], scores["drive", "bend_sigma"]), told)
+
+
+def test_gates_are_held_against_right_and_wrong_keyframes():
+    """Of twenty right keyframes one is beyond the limit: with the limit of 95 % nineteen pass; the wrong one passes the distance alone."""
+    distances = [0.01 * k for k in range(1, 20)] + [0.5, 0.1]
+    errors = pd.DataFrame({"drive": "a", "keyframe": [f"{k:02d}" for k in range(21)], "stage": "final"})
+    errors["median_distance_m"], errors["edge_margin_px"] = distances, [1.0] * 20 + [-1.0]
+    transforms = errors[["drive", "keyframe"]].assign(rotation_deg=[0.1] * 20 + [0.1], translation_m=[0.1] * 20 + [2.0])
+    found = limit_gates(errors, transforms, {"median_distance_m": 0.15, "edge_margin_px": 0.5}).set_index("gate")
+    assert found.loc["median_distance_m", ["limit_95", "good_passed", "wrong_passed"]].tolist() == pytest.approx([0.19, 75.0, 100.0])
+    assert found.loc["edge_margin_px", ["limit_95", "good_passed", "wrong_passed"]].tolist() == [1.0, 100.0, 0.0]
+    assert found[["n_good", "n_wrong"]].iloc[0].tolist() == [20, 1]
+    nothing = limit_gates(errors.iloc[:0], transforms.iloc[:0], {"median_distance_m": 0.15})
+    assert nothing.iloc[0, 2:5].isna().all()
+
+
+def test_statuses_are_counted_and_deviations_compared_with_errors():
+    errors, transforms = of_keyframes(("ok", {"final": 1.0}, 0.1), ("no_match", {"final": np.nan}, np.nan), ("ok", {"final": 1.0}, 0.1))
+    errors["hausdorff_m"], errors["n_lidar_voxels"] = [2.0, 50.0, 4.0], [100, 200, 300]
+    drive = score_transform("drive", "ok", T_BEFORE.tolist(), STILL, std={"x_y_z_m": [0.03, 0, 0.04], "turn_deg": [0.1, 0, 0]})
+    drive |= {"rotation_deg": 0.05, "translation_m": 0.1}
+    transforms = pd.concat([transforms, pd.DataFrame([drive])], ignore_index=True)
+    history = pd.DataFrame({"is_shifted": [False] * 3, "in_force": [0] * 3})
+    scores = summarize_errors(errors, transforms, history).set_index(["stage", "metric"])
+    assert scores.loc["status", "value"].to_dict() == {"ok": 2, "no_match": 1}
+    assert scores.loc[("", "hausdorff"), ["value", "n"]].tolist() == [3.0, 2]
+    assert scores.loc[("", "n_lidar_voxels"), ["value", "n"]].tolist() == [200, 3]
+    assert scores.loc[("drive", "rotation_ratio"), "value"] == pytest.approx(2.0)
+    assert scores.loc[("drive", "translation_ratio"), "value"] == pytest.approx(0.5)

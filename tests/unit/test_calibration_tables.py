@@ -8,6 +8,7 @@ import pytest
 from streetscan.benchmarks.calibrations import (
     calibration_scores,
     draw_reconstructions,
+    gate_scores,
     recalibration_scores,
     reconstruction_scores,
     runtime_scores,
@@ -109,6 +110,28 @@ def test_accepted_keyframes_are_counted_over_all_drives_too(tmp_path):
     assert found.loc[("all_drives", "accepted_open"), ["ours", "n"]].tolist() == [100.0, 2]
     alone = pd.DataFrame(calibration_scores([str(paths[0])]))
     assert alone.row.tolist() == ["a", "a"]
+
+
+def test_statuses_all_points_voxels_and_gates_have_their_tables(tmp_path):
+    folder = tmp_path / "evaluate_calibration" / "a"
+    folder.mkdir(parents=True)
+    rows = [("slow", "final", "x_mean", 1.0, "px", 2), ("slow", "final", "all_x_mean", 3.0, "px", 2), ("", "status", "ok", 2.0, "", 3)]
+    rows += [("", "status", "no_match", 1.0, "", 3), ("", "", "n_lidar_voxels", 9000.0, "", 3)]
+    pd.DataFrame(rows, columns=["set", "stage", "metric", "value", "unit", "n"]).to_csv(folder / "scores.csv", index=False)
+    found = pd.DataFrame(calibration_scores([str(folder / "scores.csv")])).set_index(["table", "row", "column"])["ours"]
+    assert found["nagy_4_1", "proposed_all", "slow x_mean"] == 3.0
+    assert found["calibration_status", "a", "ok"] == 2
+    assert found["calibration_status", "a", "no_match"] == 1
+    assert found["nagy_text", "sparse_voxels", "proposed n_voxels"] == 9000
+    errors = {"keyframe": [0, 1], "stage": "final", "median_distance_m": [0.01, 9.0], "sigma_x_px": 1.0, "edge_margin_px": 2.0}
+    pd.DataFrame(errors).to_csv(folder / "errors.csv", index=False)
+    pd.DataFrame({"keyframe": [0, 1, "drive"], "rotation_deg": 0.1, "translation_m": 0.1}).to_csv(folder / "transforms.csv", index=False)
+    gates = gate_scores([str(folder / "errors.csv")], [str(folder / "transforms.csv")], {"quality": {"max_distance_m": 0.05}})
+    of_distance = pd.DataFrame(gates).set_index(["row", "column"]).loc["median_distance_m"]
+    assert of_distance["ours"].dropna().to_dict() == {"limit": 0.05, "limit_95": 9.0, "good_passed": 50.0}
+    assert of_distance.loc["wrong_passed", "n"] == 0
+    assert make_tables(collect_scores([], {}, [*calibration_scores([str(folder / "scores.csv")]), *gates]))
+    assert gate_scores([], [], {}) == []
 
 
 def test_trials_of_drives_are_pooled(tmp_path):

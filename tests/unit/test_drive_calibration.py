@@ -113,10 +113,28 @@ def test_all_in_one_bend_the_turn_is_as_uncertain_as_the_offset():
     assert error < 4 * sigma + 1e-9
 
 
-def test_one_speed_does_not_tell_it_and_the_deviation_says_so():
-    made = combine_keyframes([keyframe(k, offset_s=0.02) for k in range(10)])
-    assert abs(made.time_offset_s) < 0.01
-    assert np.sqrt(made.covariance[6, 6]) > 0.004
+def test_one_speed_does_not_tell_it_and_the_deviation_is_what_was_expected():
+    """At 10 m/s the 5 ms expected are 5 cm along the road, whatever the offset is: a larger one must be given."""
+    for expected_s in (0.005, 0.02):
+        made = combine_keyframes([keyframe(k, offset_s=0.02) for k in range(10)], DriveCalibrationSettings(offset_std_s=expected_s))
+        assert abs(made.time_offset_s) < 0.001
+        assert np.sqrt(made.covariance[6, 6]) == pytest.approx(expected_s, rel=0.01)
+        along = np.sqrt(np.trace(made.covariance[:3, :3]))
+        assert along == pytest.approx(10.0 * expected_s, rel=0.2)
+
+
+def test_speeds_that_differ_tell_an_offset_larger_than_expected():
+    """20 ms where 5 are expected; at eight speeds a third of it would be left if it were held to that."""
+    keyframes = [keyframe(k, speed_mps=speed, offset_s=0.02) for k, speed in enumerate(np.linspace(5, 14, 8))]
+    made = combine_keyframes(keyframes)
+    assert made.time_offset_s == pytest.approx(0.02, abs=0.002)
+    np.testing.assert_allclose(made.T_camera_lidar[:3, 3], T_TRUE[:3, 3], atol=0.02)
+
+
+def test_noise_is_no_offset():
+    rng = np.random.default_rng(5)
+    keyframes = [keyframe(k, speed_mps=9 + 0.1 * k, error=noise(rng)) for k in range(8)]
+    assert abs(combine_keyframes(keyframes).time_offset_s) < 0.005
 
 
 def test_without_an_accepted_keyframe_there_is_none():
@@ -124,6 +142,16 @@ def test_without_an_accepted_keyframe_there_is_none():
     assert made.status == "no_keyframes"
     assert np.isnan(made.T_camera_lidar).all()
     assert combine_keyframes([]).status == "no_keyframes"
+
+
+def test_without_an_accepted_keyframe_what_was_in_force_stays():
+    refused = replace(keyframe(0, status="not_better"), reason="0.017 m from the planes, the one in force 0.016 m")
+    made = combine_keyframes([refused], T_in_force=T_TRUE)
+    assert made.status == "kept"
+    np.testing.assert_array_equal(made.T_camera_lidar, T_TRUE)
+    assert np.isnan(made.covariance).all()
+    assert combine_keyframes([keyframe(0)], T_in_force=np.eye(4)).status == "ok"
+    assert follow_drive([refused])["reason"].tolist() == [refused.reason]
 
 
 def test_the_bootstrap_repeats():

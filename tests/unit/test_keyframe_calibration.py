@@ -54,8 +54,8 @@ def test_every_stage_is_kept_and_the_first_is_the_coarsest(toy, made):
     true = toy.true_pixels
     seen = toy.clouds.view.contains(true)
     errors = {name: np.nanmean(np.abs(project_linear(P, toy.clouds.points_lidar) - true)[seen]) for name, P in made.stages.items()}
-    assert list(errors) == ["objects", "icp", "curves", "motion"]
-    assert errors["motion"] < errors["objects"]
+    assert list(errors) == ["objects", "place", "icp", "curves", "motion"]
+    assert errors["motion"] < errors["place"] < errors["objects"]
 
 
 def test_edges_do_not_ruin_what_the_clouds_had_right(toy, made):
@@ -76,6 +76,14 @@ def test_a_scale_that_the_motion_tells_is_held(toy):
     """The surer the lidar's motion is of the scale, the less the clouds change it."""
     scales = [calibrate_keyframe(changed(toy_keyframe(scale=1.02), scale_std=std), SETTINGS).figures["scale"] for std in (0.01, 0.0)]
     assert abs(scales[1] - 1) < abs(scales[0] - 1)
+
+
+@pytest.mark.parametrize("scale", [0.91, 0.95, 0.98, 1.02, 1.05, 1.09])
+def test_a_cloud_of_another_scale_than_its_motion_tells_is_never_believed_elsewhere(scale):
+    """Held at a wrong scale, ICP finds a place that looks right and is off by decimetres."""
+    made = calibrate_keyframe(toy_keyframe(scale=scale).clouds, SETTINGS)
+    is_right = made.T_camera_lidar is not None and np.linalg.norm((invert(T_CAMERA_LIDAR) @ made.T_camera_lidar)[:3, 3]) < 0.3
+    assert made.status != "ok" or is_right
 
 
 def test_what_is_far_off_does_not_judge_where_something_is_near(toy):
@@ -105,6 +113,21 @@ def test_what_is_wrong_in_force_is_replaced(toy):
         assert replaced.figures["distance_before_m"] > replaced.figures["distance_after_m"] + SETTINGS.quality.min_gain_m
 
 
+@pytest.mark.parametrize("yaw_deg", [5, 90, 180])
+def test_that_of_another_camera_is_replaced(yaw_deg, toy):
+    """A camera to the side or to the rear has none of the edges in view that the found one has."""
+    other = T_CAMERA_LIDAR @ transform(rpy_rad=(0, 0, np.radians(yaw_deg)))
+    made = calibrate_keyframe(changed(toy, T_initial=other), SETTINGS)
+    assert made.status == "ok", made.reason
+    assert (made.figures["n_common_edges"] == 0) == (yaw_deg > 45)
+
+
+@pytest.mark.parametrize("wrong", [2 * np.eye(4), np.zeros((4, 4)), np.diag([1.0, 1, -1, 1])])
+def test_what_is_in_force_must_be_a_turn_and_a_shift(wrong, toy):
+    with pytest.raises(BadInput, match="is no rotation"):
+        calibrate_keyframe(changed(toy, T_initial=wrong), SETTINGS)
+
+
 def test_an_image_without_edges_does_not_confirm(toy):
     made = calibrate_keyframe(changed(toy, image=np.full_like(toy.clouds.image, 100)), SETTINGS)
     assert made.status == "no_edges"
@@ -115,6 +138,7 @@ def test_each_gate_refuses_what_is_beyond_its_limit(made):
         "too_few_objects": {"n_matched": 0},
         "far_apart": {"median_distance_m": 0.2},
         "uncertain": {"sigma_x_px": 20.0},
+        "scale_open": {"free_shift_m": 2.0},
         "no_edges": {"edge_px": 12.0},
         "edges_disagree": {"edge_margin_px": -0.1},
         "not_better": {"gain_m": 0.005, "gain_std_m": 0.001, "edge_gain_px": 1.0, "edge_gain_std_px": 0.1, "distance_before_m": 0.04},
