@@ -532,7 +532,9 @@ def _measure(
     seen = c.view.sees(apply(T_sfm_lidar, points)) & c.is_static & (np.linalg.norm(points, axis=1) < s.objects.range_m)
     sigma_x, sigma_y = _pixel_sigmas(apply(made.T_camera_stamp, points[seen]), c.view.K, made.covariance)
     made.figures |= {"sigma_x_px": float(sigma_x), "sigma_y_px": float(sigma_y)}
-    made.figures["hausdorff_m"] = hausdorff_distance(apply(T_sfm_lidar, points[seen]), target.points)
+    # Beyond the range of objects the camera's cloud has points, sky among them, that no lidar sees.
+    is_near = np.linalg.norm(target.points - T_sfm_lidar[:3, 3], axis=1) < s.objects.range_m
+    made.figures["hausdorff_m"] = hausdorff_distance(apply(T_sfm_lidar, points[seen]), target.points[is_near])
     found = np.isfinite(distances)
     rows = np.flatnonzero(found)[:: max(1, found.sum() // _N_EVIDENCE)]
     nearest = straightened.tree.query(moved[rows])[1]
