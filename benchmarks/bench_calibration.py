@@ -63,7 +63,7 @@ def _run(folder: Path) -> None:
 
 
 # Statuses of a keyframe that went through every stage and was judged at the end.
-_WENT_THROUGH = {"ok", "far_apart", "uncertain", "no_edges", "edges_disagree", "not_better"}
+_WENT_THROUGH = {"ok", "far_apart", "uncertain", "scale_open", "no_edges", "edges_disagree", "not_better"}
 
 
 def check_went_through(path: Path) -> None:
