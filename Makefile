@@ -30,8 +30,8 @@ run: install  ## Run the workflow (CONFIG=config/test.yaml chooses a run, TARGET
 	@$(BIN)/python envs/unlock.py
 	PATH="$$PWD/$(BIN):$$PATH" $(BIN)/snakemake --configfile $(CONFIG) $(if $(TARGET),-- $(TARGET))
 
-test: install  ## Run the test suite.
-	$(BIN)/python -m pytest
+test: install  ## Run the test suite, a file at a time on each core.
+	$(BIN)/python -m pytest -n auto --maxprocesses 4 --dist loadfile
 
 lint: install  ## Check style, formatting and the workflow.
 	$(BIN)/ruff check .

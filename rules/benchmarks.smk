@@ -337,7 +337,7 @@ rule evaluate_recalibration:
     resources:
         mem_mb=3000,
     params:
-        **{key: config["evaluate_recalibration"][key] for key in ("n_trials", "max_step", "max_tilt_deg", "bins")},
+        **{key: value for key, value in config["evaluate_recalibration"].items() if key != "drives"},
         **{key: config["detect_dynamic"][key] for key in ("margin_m", "foot_m")},
         settings=config["calibrate_keyframe"]["settings"],
         lidar_detector=chosen_detector("lidar"),

@@ -16,8 +16,8 @@ from streetscan.registration.pose_tables import read_pose_table
 
 def main(
     drive: str, truth: str, keyframes: str, poses: str, models: list[str], lidar_files: list[str], lidar_detector: dict, margin_m: float,
-    foot_m: float, settings: dict, n_trials: int, max_step: int, max_tilt_deg: float, bins: list[dict], seed: int, n_threads: int,
-    trials: str, sizes: str, scores: str, figure: str,
+    foot_m: float, settings: dict, n_trials: int, max_step: int, max_tilt_deg: float, max_in_force_deg: float, max_in_force_m: float,
+    bins: list[dict], seed: int, n_threads: int, trials: str, sizes: str, scores: str, figure: str,
 ) -> None:  # fmt: skip
     """
     Args:
@@ -25,7 +25,7 @@ def main(
         keyframes, poses, models: of choose_keyframes, register_frames and reconstruct_keyframe, one model per keyframe.
         lidar_files, lidar_detector, margin_m, foot_m, n_threads: as in detect_dynamic.
         settings: keys of CalibrationSettings.
-        n_trials, max_step, max_tilt_deg, seed: of `recalibration.draw_trials`.
+        n_trials, max_step, max_tilt_deg, max_in_force_deg, max_in_force_m, seed: of `recalibration.draw_trials`.
         bins: sizes of the vote's bins, `turn_step_deg` and `step_m`.
         trials, sizes, scores, figure: to write: a row per trial, per keyframe and size of the bins, over all; a picture.
     """
@@ -35,11 +35,12 @@ def main(
         lambda frame: ~find_dynamic_points(detector, frame.points, frame.intensity, margin_m, foot_m).is_dynamic,
         build(CalibrationSettings, settings, "calibrate_keyframe.settings"),
     )  # fmt: skip
-    drawn = sorted(recalibration.draw_trials(n_trials, again.usable, max_step, max_tilt_deg, seed), key=lambda t: t.keyframe)
+    limits = max_tilt_deg, max_in_force_deg, max_in_force_m
+    drawn = sorted(recalibration.draw_trials(n_trials, again.usable, max_step, *limits, seed), key=lambda t: t.keyframe)
     of_trials = pd.DataFrame([again.run(t) for t in drawn], columns=recalibration.TRIAL_COLUMNS).sort_values("trial")
     of_bins = pd.DataFrame([r for k in again.usable for r in again.score_bins(k, bins)], columns=recalibration.BIN_COLUMNS)
     save_tables({trials: of_trials, sizes: of_bins, scores: recalibration.summarize_trials(of_trials, of_bins)})
-    accepted = of_trials["status"] == "ok"
+    accepted = recalibration.is_accepted(of_trials)
     save_figure(trial_errors({axis: of_trials[f"all_{axis}_px"].where(accepted).to_numpy() for axis in "xy"}, "difference [px]"), figure)
 
 

@@ -18,10 +18,13 @@ def test_turned_lidars_are_calibrated_alike(tmp_path, toy_inputs, detectors):
     evaluate_recalibration.main(
         **inputs, truth=str(toy_inputs["drive_path"].parent / "truth"), models=[str(toy_inputs["model_folder"])],
         lidar_files=detectors["lidar_files"], lidar_detector=nothing, margin_m=0.1, foot_m=0.1, n_threads=1,
-        settings=settings, n_trials=2, max_step=0, max_tilt_deg=3.0, bins=BINS, seed=4, **outputs,
+        settings=settings, n_trials=2, max_step=0, max_tilt_deg=3.0, max_in_force_deg=0.0, max_in_force_m=0.0, bins=BINS, seed=4, **outputs,
     )  # fmt: skip
     trials = pd.read_csv(outputs["trials"])
-    assert trials["status"].tolist() == ["ok", "ok"]
+    # In force is the truth, which nothing is better than.
+    assert trials["status"].tolist() == ["not_better", "not_better"]
+    assert (trials[["in_force_deg", "in_force_m", "in_force_px"]].abs() < 1e-3).all().all()
+    assert trials["off_px"].between(0.01, 1.5).all()
     assert trials["yaw_deg"].abs().max() > 20
     assert (trials["tilt_deg"] <= 3).all()
     assert (trials[["x_px", "y_px"]] < 1.5).all().all()

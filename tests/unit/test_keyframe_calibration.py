@@ -19,7 +19,7 @@ from streetscan.calibration.keyframe_calibration import (
 )
 from streetscan.calibration.linear_projection import project_linear
 from streetscan.calibration.objects import ObjectSettings
-from streetscan.calibration.quality import QualitySettings
+from streetscan.calibration.quality import QualitySettings, judge_gain
 from streetscan.errors import BadInput
 from streetscan.geometry import invert, rotation_angle, transform
 
@@ -141,9 +141,8 @@ def test_each_gate_refuses_what_is_beyond_its_limit(made):
         "scale_open": {"free_shift_m": 2.0},
         "no_edges": {"edge_px": 12.0},
         "edges_disagree": {"edge_margin_px": -0.1},
-        "not_better": {"gain_m": 0.005, "gain_std_m": 0.001, "edge_gain_px": 1.0, "edge_gain_std_px": 0.1, "distance_before_m": 0.04},
     }
-    fine = made.figures | {"edge_margin_px": 1.0, "distance_after_m": 0.05}
+    fine = made.figures | {"edge_margin_px": 1.0}
     _judge(replace(made, figures=fine), QualitySettings())
     for status, beyond in asked.items():
         unknown = {name: np.nan for name in beyond if name != "n_matched"}
@@ -153,11 +152,13 @@ def test_each_gate_refuses_what_is_beyond_its_limit(made):
             assert failure.value.status == status
 
 
-def test_edges_that_lie_farther_keep_the_one_in_force(made):
-    gain = {"distance_before_m": 0.08, "distance_after_m": 0.05, "gain_m": 0.03, "gain_std_m": 0.002, "edge_margin_px": 1.0}
-    _judge(replace(made, figures=made.figures | gain | {"edge_gain_px": 0.5, "edge_gain_std_px": 0.3}), QualitySettings())
-    with pytest.raises(CalibrationFailed, match="edges gain"):
-        _judge(replace(made, figures=made.figures | gain | {"edge_gain_px": -1.0, "edge_gain_std_px": 0.3}), QualitySettings())
+def test_edges_that_lie_farther_keep_the_one_in_force():
+    gain = {"gain_m": 0.03, "gain_std_m": 0.002, "edge_gain_std_px": 0.3}
+    assert all(judge_gain(gain | {"edge_gain_px": 0.5}, QualitySettings()).values())
+    assert judge_gain(gain | {"edge_gain_px": -1.0}, QualitySettings()) == {"clouds": True, "edges": False}
+    too_little = gain | {"edge_gain_px": 1.0, "gain_m": 0.005}
+    assert judge_gain(too_little, QualitySettings()) == {"clouds": False, "edges": True}
+    assert not judge_gain(too_little | {"gain_m": np.nan}, QualitySettings())["clouds"]
 
 
 def test_nothing_is_compared_with_a_transform_that_is_none(toy):
