@@ -381,6 +381,7 @@ rule tabulate_benchmarks:
         calibration_transforms=expand("results/evaluate_calibration/{drive}/transforms.csv", drive=SCORED_CALIBRATIONS),
         recalibrations=expand("results/evaluate_recalibration/{drive}/scores.csv", drive=RECALIBRATED),
         recalibration_figures=expand("results/evaluate_recalibration/{drive}/trials.png", drive=RECALIBRATED),
+        recalibration_trials=expand("results/evaluate_recalibration/{drive}/trials.csv", drive=RECALIBRATED),
         calibrated=for_keyframes("results/calibrate_keyframe/{drive}/{keyframe}/pictures", CALIBRATED),
         verdicts=for_keyframes("results/calibrate_keyframe/{drive}/{keyframe}/summary.csv", CALIBRATED),
         detected=expand("results/detect_dynamic/{drive}/pictures", drive=CALIBRATED),

@@ -43,7 +43,7 @@ def main(
     sections += report.realism_sections(figures, sheets, realism["not_compared"], densities, realism["static_scans"])
     sections += registrations.draw_drives(figures, drives, dict(zip(map(tuple, merged), inputs["streets"], strict=True)), inputs["frames"])
     sections += localizations.draw_localizations(figures, on_maps, inputs["localization_pictures"])
-    sections += calibrations.draw_keyframes(inputs, config["calibrate_keyframe"]["settings"])
+    sections += calibrations.draw_keyframes(figures, inputs, config["calibrate_keyframe"]["settings"])
     scored = dict.fromkeys((e.dataset, e.model) for e in evaluations)
     about = report.describe_run(config["run"], config["seed"], [*(scored | views)], registered)
     resolved, unscored = yaml.safe_dump(dict(config), sort_keys=False, allow_unicode=True), [pair for pair in views if pair not in scored]

@@ -9,12 +9,14 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from streetscan.benchmarks import figures as draw
 from streetscan.benchmarks.published import title
-from streetscan.benchmarks.report import Gallery, Part, Section, embed
+from streetscan.benchmarks.report import Gallery, Part, Section, embed, save_picture
 from streetscan.benchmarks.scores import make_score
 from streetscan.benchmarks.verdicts import HOW_TO_READ, checks_of
 from streetscan.calibration.calibration_evaluation import limit_gates
 from streetscan.calibration.keyframe_calibration import CalibrationSettings
+from streetscan.calibration.recalibration import is_accepted
 from streetscan.io.tables import read_csv
 from streetscan.localization.settings import build
 
@@ -255,15 +257,25 @@ def _trial_row(drive: str, of: str, metric: str, value: float, unit: str, n: int
     return make_score("recalibration", f"{drive}/{of}" if of else drive, "", metric, value, unit, n, drive, "final")
 
 
-def draw_recalibrations(figures: Sequence[str]) -> list[Section]:
-    """A section with Fig. 4.12 of each drive.
+def draw_recalibrations(folder: Path, figures: Sequence[str], trials: Sequence[str]) -> list[Section]:
+    """A section with what is in force before and after the trials of all drives, and Fig. 4.12 of each.
 
     Args:
-        figures: `evaluate_recalibration/<drive>/trials.png`.
+        folder: for figures.
+        figures, trials: `evaluate_recalibration/<drive>/trials.png` and `trials.csv`.
     """
+    if not figures:
+        return []
+    of_all = pd.concat([read_csv(path, ("status", "in_force_px", "off_px"), "evaluate_recalibration") for path in trials])
+    accepted = of_all[is_accepted(of_all)]
+    is_replaced, before = (accepted["status"] == "ok").to_numpy(), accepted["in_force_px"].to_numpy(float)
+    after = np.where(is_replaced, accepted["off_px"].to_numpy(float), before)
+    told = "Accepted trials of all drives: how far static points fall from where the true mounting has them, before and after."
+    figure = draw.before_and_after(before, after, is_replaced, "mean distance [px]")
     caption = "mean difference from the true pixels of all static points, calibration by calibration (Fig. 4.12); a gap: refused."
-    shown = [embed(path, f"{title(Path(path).parent.name)}: {caption}") for path in figures]
-    return [Section("recalibrated", "Calibrated again and again", "", shown)] if shown else []
+    shown = [save_picture(figure, folder, "in_force", told)]
+    shown += [embed(path, f"{title(Path(path).parent.name)}: {caption}") for path in figures]
+    return [Section("recalibrated", "Calibrated again and again", "", shown)]
 
 
 def draw_calibrations(folders: Sequence[str], summaries: Sequence[str], settings: Mapping, detected: Sequence[str] = ()) -> list[Section]:
@@ -335,12 +347,14 @@ def _median(values: pd.Series) -> float:
     return float(values.median()) if len(values) else np.nan
 
 
-def draw_keyframes(inputs: Mapping[str, Sequence[str]], settings: Mapping) -> list[Section]:
-    """The sections of `models`, `calibrated` with their `verdicts` under `settings`, and `recalibration_figures`."""
+def draw_keyframes(folder: Path, inputs: Mapping[str, Sequence[str]], settings: Mapping) -> list[Section]:
+    """The sections of `models`, `calibrated` with their `verdicts` under `settings`, and `recalibration_figures`, `recalibration_trials`;
+    what is drawn goes into a folder.
+    """
     of_keyframes = draw_reconstructions(inputs["models"]) + draw_calibrations(
         inputs["calibrated"], inputs["verdicts"], settings, inputs["detected"]
     )
-    return of_keyframes + draw_recalibrations(inputs["recalibration_figures"])
+    return of_keyframes + draw_recalibrations(folder, inputs["recalibration_figures"], inputs["recalibration_trials"])
 
 
 def all_scores(inputs: Mapping[str, Sequence[str]], settings: Mapping) -> list[dict]:

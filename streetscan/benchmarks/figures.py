@@ -520,6 +520,33 @@ def trial_errors(series: dict[str, np.ndarray], heading: str) -> Figure:
 
 
 @_styled
+def before_and_after(before: np.ndarray, after: np.ndarray, is_replaced: np.ndarray, heading: str) -> Figure:
+    """Errors of what was in force, against those of what is afterwards, on logarithmic axes; above the dashed line it is worse.
+
+    Args:
+        before, after: (T,) errors.
+        is_replaced: (T,) bool, where something else is in force afterwards.
+        heading: of the axes, with the unit.
+    """
+    figure = _figure(4.0)
+    axes = figure.subplots()
+    shown = {
+        "kept": (~is_replaced, QUIET, "x"),
+        "replaced, better": (is_replaced & (after <= before), OURS, "o"),
+        "replaced, worse": (is_replaced & (after > before), ALARM, "^"),
+    }
+    for name, (own, colour, marker) in shown.items():
+        axes.plot(before[own], after[own], marker, color=colour, markersize=4, alpha=0.7, label=f"{name} ({own.sum()})")
+    axes.set_xscale("log")
+    axes.set_yscale("log")
+    axes.axline((1, 1), (10, 10), color=INK, linestyle="--", linewidth=0.8)
+    axes.set_xlabel(f"in force before, {heading}")
+    axes.set_ylabel(f"in force afterwards, {heading}")
+    figure.legend(loc="outside upper left", ncols=3)
+    return figure
+
+
+@_styled
 def frame_errors(frames: Sequence[int], series: dict[str, np.ndarray], heading: str) -> Figure:
     """Errors frame by frame on a logarithmic axis, a marker of its own for each method.
 

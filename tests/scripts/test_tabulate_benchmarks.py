@@ -50,6 +50,7 @@ def inputs(tmp_path):
         "calibration_transforms": [],
         "recalibrations": [],
         "recalibration_figures": [],
+        "recalibration_trials": [],
         "calibrated": [],
         "verdicts": [],
         "detected": [],

@@ -103,6 +103,12 @@ def test_bars_start_at_zero_and_dash_what_is_undefined():
     assert [bool(p.get_hatch()) for p in figure.axes[0].patches] == [False, False, True, True]
 
 
+def test_what_is_worse_afterwards_is_counted():
+    before, after, is_replaced = np.array([1.0, 2.0, 3.0, 4.0]), np.array([1.0, 2.5, 1.0, 2.0]), np.array([False, True, True, True])
+    figure = figures.before_and_after(before, after, is_replaced, "distance [px]")
+    assert [t.get_text() for t in figure.legends[0].get_texts()] == ["kept (1)", "replaced, better (2)", "replaced, worse (1)"]
+
+
 def test_series_have_colours_of_their_own():
     colours = figures._series_colours(["a", "b", "paper"], ["paper"])
     assert len(set(colours.values())) == 3
