@@ -16,7 +16,7 @@ from streetscan.benchmarks.scores import make_score
 from streetscan.benchmarks.verdicts import HOW_TO_READ, checks_of
 from streetscan.calibration.calibration_evaluation import limit_gates
 from streetscan.calibration.keyframe_calibration import CalibrationSettings
-from streetscan.calibration.recalibration import is_accepted
+from streetscan.calibration.recalibration import is_accepted, pixels_in_force
 from streetscan.io.tables import read_csv
 from streetscan.localization.settings import build
 
@@ -266,12 +266,11 @@ def draw_recalibrations(folder: Path, figures: Sequence[str], trials: Sequence[s
     """
     if not figures:
         return []
-    of_all = pd.concat([read_csv(path, ("status", "in_force_px", "off_px"), "evaluate_recalibration") for path in trials])
+    of_all = pd.concat([read_csv(path, ("status", "in_force_x_px", "in_force_y_px"), "evaluate_recalibration") for path in trials])
     accepted = of_all[is_accepted(of_all)]
-    is_replaced, before = (accepted["status"] == "ok").to_numpy(), accepted["in_force_px"].to_numpy(float)
-    after = np.where(is_replaced, accepted["off_px"].to_numpy(float), before)
-    told = "Accepted trials of all drives: how far static points fall from where the true mounting has them, before and after."
-    figure = draw.before_and_after(before, after, is_replaced, "mean distance [px]")
+    told = "Accepted trials of all drives: how far what is in force is off the true pixels of static points, before and after."
+    before, after = (of.to_numpy() for of in pixels_in_force(accepted))
+    figure = draw.before_and_after(before, after, (accepted["status"] == "ok").to_numpy(), "mean distance [px]")
     caption = "mean difference from the true pixels of all static points, calibration by calibration (Fig. 4.12); a gap: refused."
     shown = [save_picture(figure, folder, "in_force", told)]
     shown += [embed(path, f"{title(Path(path).parent.name)}: {caption}") for path in figures]

@@ -69,12 +69,14 @@ class TruePixels:
 
     Attributes:
         points: (N, 3) raw points, frame `lidar`.
+        time_offset_s: (N,) float32 firing minus the frame's stamp.
         pixels: (N, 2) in the rectified image.
         features: (F,) int64 rows of the feature points.
         speed_kmh: of the vehicle.
     """
 
     points: np.ndarray
+    time_offset_s: np.ndarray
     pixels: np.ndarray
     features: np.ndarray
     speed_kmh: float
@@ -115,7 +117,8 @@ def find_true_pixels(frame: LidarFrame, number: int, image_time_ns: int, truth_f
     candidates = np.flatnonzero(edges)
     features = candidates[choose_spread(pixels[seen][candidates], N_FEATURES)] if len(candidates) else candidates
     a, b = interpolate_poses(np.array([stamp_s - 0.05, stamp_s + 0.05]), times_s, vehicle)
-    return TruePixels(points, pixels[seen], features, float(np.linalg.norm(b[:3, 3] - a[:3, 3]) / 0.1 * 3.6))
+    speed_kmh = float(np.linalg.norm(b[:3, 3] - a[:3, 3]) / 0.1 * 3.6)
+    return TruePixels(points, frame.time_offset_s[seen], pixels[seen], features, speed_kmh)
 
 
 def _is_still(folder: Path, number: int) -> np.ndarray:

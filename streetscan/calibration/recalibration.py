@@ -33,10 +33,9 @@ from streetscan.calibration.keyframe_calibration import (
     prepare_objects,
 )
 from streetscan.calibration.keyframes import Keyframe, read_keyframe_lidar
-from streetscan.calibration.linear_projection import rigid_of
+from streetscan.calibration.linear_projection import linear_of, rigid_of
 from streetscan.calibration.motion import motion_of
 from streetscan.calibration.objects import CloudObjects
-from streetscan.calibration.projection import project_pinhole
 from streetscan.calibration.ways import lidar_way
 from streetscan.extrinsics import extrinsics_at
 from streetscan.frames import LidarFrame
@@ -47,7 +46,8 @@ from streetscan.registration.odometry import FramePose
 
 TRIAL_COLUMNS = (
     "trial", "keyframe", "lidar_frame", "roll_deg", "pitch_deg", "yaw_deg", "tilt_deg", "status", "x_px", "y_px", "all_x_px",
-    "all_y_px", "rotation_deg", "translation_m", "off_px", "in_force_deg", "in_force_m", "in_force_px",
+    "all_y_px", "rotation_deg", "translation_m", "in_force_deg", "in_force_m", "in_force_x_px",
+    "in_force_y_px",
 )  # fmt: skip
 BIN_COLUMNS = ("keyframe", "turn_step_deg", "step_m", "is_found", "rotation_deg", "translation_m")
 # A vote that is farther off is a failed registration.
@@ -58,8 +58,6 @@ _STEPS_DEG = {"tilt": 2.5, "yaw": 45.0}
 _IN_FORCE_DEG = (0.0, 0.1, 0.25, 0.5, 1.0, np.inf)
 # Statuses of calibrations that pass all gates but, the second, the last: to be better than the one in force.
 _PASSING = ("ok", "not_better")
-# A point farther off in the image, or behind it, counts as this far, pixels.
-_FAR_PX = 1000.0
 
 
 @dataclass(frozen=True)
@@ -148,46 +146,46 @@ def turn_clouds(
 
 
 def score_trial(
-    trial: Trial, lidar_frame: int, made: KeyframeCalibration, truth: TruePixels, T_camera_lidar: np.ndarray, K: np.ndarray
+    trial: Trial, lidar_frame: int, turned: KeyframeClouds, made: KeyframeCalibration, truth: TruePixels, T_camera_lidar: np.ndarray
 ) -> dict:
     """A row of TRIAL_COLUMNS: mean absolute errors of the feature points' and of all static points' pixels, and those of the transform;
-    how far the static points fall from where the true mounting has them, by the calibration (`off_px`) and by that in force.
+    the same of the calibration in force, under which points are freed of the vehicle's motion and stamps are taken as they are.
 
     Args:
-        trial, lidar_frame: what was calibrated.
+        trial, lidar_frame, turned: what was calibrated.
         made: the outcome.
         truth: of the lidar frame, in its own axes.
         T_camera_lidar: (4, 4) the true mounting, likewise.
-        K: (3, 3) of the rectified image.
     """
     roll, pitch, yaw = trial.rpy_deg
     row = dict.fromkeys(TRIAL_COLUMNS, np.nan) | {"trial": trial.number, "keyframe": f"{trial.keyframe:02d}", "lidar_frame": lidar_frame}
     row |= {"roll_deg": roll, "pitch_deg": pitch, "yaw_deg": yaw, "tilt_deg": trial.tilt_deg, "status": made.status}
+    points = apply(trial.T_turned_lidar, truth.points)
     if made.projection is not None:
-        errors = pixel_errors(made.projection, apply(trial.T_turned_lidar, truth.points), truth.pixels)
-        for prefix, own in (("", errors[truth.features]), ("all_", errors)):
-            row |= {f"{prefix}{name}_px": float(own[:, axis].mean()) if len(own) else np.nan for axis, name in enumerate("xy")}
+        errors = pixel_errors(made.projection, points, truth.pixels)
+        row |= _pixel_means("", errors[truth.features]) | _pixel_means("all_", errors)
     if made.T_camera_lidar is not None:
-        found = made.T_camera_lidar @ trial.T_turned_lidar
-        row |= _errors_of(found, T_camera_lidar) | {"off_px": _off_px(truth.points, found, T_camera_lidar, K)}
-    in_force = trial.put_in_force(T_camera_lidar)
-    errors = _errors_of(in_force, T_camera_lidar)
-    row |= {"in_force_deg": errors["rotation_deg"], "in_force_m": errors["translation_m"]}
-    return row | {"in_force_px": _off_px(truth.points, in_force, T_camera_lidar, K)}
+        row |= _errors_of(made.T_camera_lidar @ trial.T_turned_lidar, T_camera_lidar)
+    of_force = _errors_of(trial.put_in_force(T_camera_lidar), T_camera_lidar)
+    row |= {"in_force_deg": of_force["rotation_deg"], "in_force_m": of_force["translation_m"]}
+    return row | _pixel_means("in_force_", _errors_in_force(turned, points, truth))
+
+
+def _errors_in_force(turned: KeyframeClouds, points: np.ndarray, truth: TruePixels) -> np.ndarray:
+    """(N, 2) absolute errors in pixels of points under the calibration in force."""
+    T, motion = turned.T_initial, turned.motion
+    if motion is not None:
+        points, T = motion.deskew(points, truth.time_offset_s), T @ invert(motion.at([motion.image_s])[0])
+    return pixel_errors(linear_of(T, turned.view.K), points, truth.pixels)
+
+
+def _pixel_means(prefix: str, errors: np.ndarray) -> dict[str, float]:
+    return {f"{prefix}{name}_px": float(errors[:, axis].mean()) if len(errors) else np.nan for axis, name in enumerate("xy")}
 
 
 def _errors_of(found: np.ndarray, true: np.ndarray) -> dict[str, float]:
     change = invert(true) @ found
     return {"rotation_deg": float(np.degrees(rotation_angle(change))), "translation_m": float(np.linalg.norm(change[:3, 3]))}
-
-
-def _off_px(points: np.ndarray, found: np.ndarray, true: np.ndarray, K: np.ndarray) -> float:
-    """Mean distance in the image between points (N, 3) under two transforms into the camera."""
-    if len(points) == 0:
-        return float("nan")
-    with np.errstate(invalid="ignore", divide="ignore"):
-        off = np.linalg.norm(project_pinhole(points, K, found) - project_pinhole(points, K, true), axis=1)
-    return float(np.fmin(off, _FAR_PX).mean())
 
 
 def score_bins(
@@ -247,7 +245,7 @@ class Recalibrator:
         in_force = trial.put_in_force(T_camera_lidar)
         turned = turn_clouds(clouds, frame, self._find_static(frame), trial.T_turned_lidar, self._poses, image_time_ns, in_force)
         truth = find_true_pixels(frame, number, image_time_ns, self._truth, cameras)
-        return score_trial(trial, number, calibrate_keyframe(turned, self._settings), truth, T_camera_lidar, clouds.view.K)
+        return score_trial(trial, number, turned, calibrate_keyframe(turned, self._settings), truth, T_camera_lidar)
 
     def score_bins(self, keyframe: int, bins: Sequence[Mapping]) -> list[dict]:
         """The rows of a keyframe's own lidar frame; none where its clouds hold no objects or its motion is not known."""
@@ -288,8 +286,8 @@ def summarize_trials(trials: pd.DataFrame, bins: pd.DataFrame) -> pd.DataFrame:
         over accepted trials the least, mean and largest error of all static points in x and y; the shares accepted, right (accepted, and
         not `is_wrong`) and ok but wrong, of all trials, and the first two by tilt and by yaw; for each size of the bins the share of
         failed registrations and the mean errors of the others. Accepted: by all gates but the last, to be better than what is in force.
-        By how far that is turned, of accepted trials: the share that replaces it, the share that does and is farther off in the image, and
-        the mean distance in the image of what is in force before and after.
+        By how far that is turned, of accepted trials: the share that replaces it, the share that does and is farther off the true pixels,
+        and how far what is in force is off them, before and after (`pixels_in_force`).
     """
     is_ok = is_accepted(trials)
     # What truth tells nothing of is not called right.
@@ -318,6 +316,14 @@ def is_accepted(trials: pd.DataFrame) -> pd.Series:
     return trials["status"].isin(_PASSING)
 
 
+def pixels_in_force(accepted: pd.DataFrame) -> tuple[pd.Series, pd.Series]:
+    """(N,) pixels that what is in force is off the true ones, before and after accepted trials: the mean errors of all static points in x
+    and y, squared, added, and the root.
+    """
+    off = {prefix: np.hypot(*(accepted[f"{prefix}_{axis}_px"].astype(float) for axis in "xy")) for prefix in ("all", "in_force")}
+    return off["in_force"], off["in_force"].where(accepted["status"] != "ok", off["all"])
+
+
 def _by_error_in_force(accepted: pd.DataFrame) -> Iterator[tuple[str, pd.DataFrame]]:
     yield "in force", accepted
     for low, high in pairwise(_IN_FORCE_DEG):
@@ -327,9 +333,8 @@ def _by_error_in_force(accepted: pd.DataFrame) -> Iterator[tuple[str, pd.DataFra
 
 
 def _replacements(name: str, accepted: pd.DataFrame) -> list[tuple]:
+    before, after = pixels_in_force(accepted)
     is_replaced = accepted["status"] == "ok"
-    before = accepted["in_force_px"].astype(float)
-    after = before.where(~is_replaced, accepted["off_px"].astype(float))
     shares = [(name, metric, _per_cent(flags), "%", len(flags)) for metric, flags in (("replaced", is_replaced), ("worse", after > before))]
     return shares + [(name, metric, float(px.mean()), "px", len(px)) for metric, px in (("before", before), ("after", after))]
 

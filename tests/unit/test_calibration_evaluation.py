@@ -167,7 +167,7 @@ def test_a_point_behind_the_camera_is_infinitely_wrong():
     """The true camera looks along x; one that looks back has every point behind it."""
     P = np.array([[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0]])
     points = np.array([[4.0, 1, 0], [5, -2, 1], [8, 0, 1]])
-    truth = TruePixels(points, project_linear(P, points), np.array([0, 1]), 20.0)
+    truth = TruePixels(points, np.zeros(len(points)), project_linear(P, points), np.array([0, 1]), 20.0)
     found = {"stages": {"icp": P.tolist()}, "projection": (-P).tolist(), "status": "ok", "figures": {}}
     errors = pd.DataFrame(score_keyframe(found, 0, truth), columns=COLUMNS)
     assert errors.set_index("stage")["x_px"].to_dict() == {"icp": 0.0, "final": np.inf}
@@ -179,7 +179,7 @@ def test_a_point_behind_the_camera_is_infinitely_wrong():
 
 def test_a_frame_without_features_has_no_error_of_them():
     P = np.array([[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0]])
-    truth = TruePixels(np.array([[4.0, 1, 0]]), np.zeros((1, 2)), np.empty(0, int), 20.0)
+    truth = TruePixels(np.array([[4.0, 1, 0]]), np.zeros(1), np.zeros((1, 2)), np.empty(0, int), 20.0)
     (row,) = score_keyframe({"stages": {}, "projection": P.tolist(), "status": "ok", "figures": {}}, 0, truth)
     assert np.isnan(row["x_px"])
     assert row["all_x_px"] == 0.25

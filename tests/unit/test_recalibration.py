@@ -67,8 +67,8 @@ def test_what_is_in_force_afterwards_is_counted_by_how_wrong_it_was():
         ("not_better", 1.5, 20.0, 3.0),
         ("no_match", 0.3, 9.0, np.nan),
     ]
-    trials = pd.DataFrame(rows, columns=["status", "in_force_deg", "in_force_px", "off_px"]).reindex(columns=TRIAL_COLUMNS)
-    trials = trials.assign(tilt_deg=0.0, yaw_deg=0.0)
+    trials = pd.DataFrame(rows, columns=["status", "in_force_deg", "in_force_x_px", "all_x_px"]).reindex(columns=TRIAL_COLUMNS)
+    trials = trials.assign(tilt_deg=0.0, yaw_deg=0.0, in_force_y_px=0.0, all_y_px=0.0)
     scores = summarize_trials(trials, pd.DataFrame(columns=BIN_COLUMNS)).set_index(["set", "metric"])
     small, large, every = "in force 0 to 0.1 deg", "in force from 1 deg", "in force"
     assert scores.loc[("", "accepted"), "value"] == 80
