@@ -139,6 +139,30 @@ def test_dropout_of_equal_generators_is_equal():
     assert not torch.equal(a, sparse_logits(network, channels, grid.keys, grid.keys[:50]))
 
 
+def test_dropout_is_spread_as_that_of_cubes(kernels):
+    """Neighbours share their convolutions, but each sample's units are dropped on their own, as in cubes: equal means, spreads and no tie
+    between neighbours.
+    """
+    grid, channels = make_scene(7)
+    network = make_network(9)
+    pair = grid.keys[:2]
+    wanted = np.repeat(pair, 3000, axis=0)
+    cubes = torch.from_numpy(extract_cubes(grid, channels, pair, np.zeros(2, int), 9)).repeat_interleave(3000, dim=0)
+    with torch.no_grad():
+        network.output.weight.mul_(10)
+        of_cubes = network(cubes, torch.Generator().manual_seed(1)).numpy().reshape(2, 3000, -1)
+        of_sites = sparse_logits(network, channels, grid.keys, wanted, torch.Generator().manual_seed(2)).numpy().reshape(2, 3000, -1)
+    std = of_cubes.std(axis=1)
+    assert (std > 0.01).any()
+    # Of 3000 draws: means within four, spreads within five of their own deviations.
+    np.testing.assert_array_less(np.abs(of_sites.mean(axis=1) - of_cubes.mean(axis=1)), 4 * std * np.sqrt(2 / 3000) + 1e-6)
+    np.testing.assert_allclose(of_sites.std(axis=1), std, rtol=0.1, atol=1e-6)
+    for drawn in (of_cubes, of_sites):
+        a, b = (own - own.mean(axis=0) for own in drawn)
+        tie = (a * b).mean(axis=0) / np.maximum(a.std(axis=0) * b.std(axis=0), 1e-9)
+        assert np.abs(tie).max() < 4 / np.sqrt(3000)
+
+
 def test_empty_space_costs_nothing():
     settings = Settings()
     near = find_sites(settings.layers, 11, np.array([[0, 0, 0]]), np.array([[0, 0, 0]]), False)
