@@ -31,7 +31,8 @@ _PICTURES = {
 
 _CALIBRATION_PICTURES = {
     "overlay": "Projected", "overlay_initial": "Projected by the calibration before", "overlay_before": "Projected, by objects alone",
-    "overlay_raw": "Projected, moving things left in", "overlay_curves": "Projected, after the curves", "matched": "Matched objects",
+    "overlay_raw": "Projected, moving things left in", "overlay_place": "Projected, from where ICP begins",
+    "overlay_curves": "Projected, after the curves", "matched": "Matched objects",
     "aligned": "Aligned", "aligned_start": "Before anything is known", "aligned_raw": "Aligned by objects, moving things left in",
     "aligned_objects": "Aligned by objects", "aligned_curves": "Aligned by ICP and curves",
     "lidar_objects": "Objects of the lidar", "sfm_objects": "Objects of the images", "lidar_pillars": "Pillars of the lidar",
@@ -257,6 +258,12 @@ def _trial_row(drive: str, of: str, metric: str, value: float, unit: str, n: int
     return make_score("recalibration", f"{drive}/{of}" if of else drive, "", metric, value, unit, n, drive, "final")
 
 
+_IN_FORCE = {
+    "pixels": "how far static points of the trial's frame are off their true pixels.",
+    "mounting": "how far static points fall from where the true mounting has them.",
+}
+
+
 def draw_recalibrations(folder: Path, figures: Sequence[str], trials: Sequence[str]) -> list[Section]:
     """A section with what is in force before and after the trials of all drives, and Fig. 4.12 of each.
 
@@ -266,13 +273,15 @@ def draw_recalibrations(folder: Path, figures: Sequence[str], trials: Sequence[s
     """
     if not figures:
         return []
-    of_all = pd.concat([read_csv(path, ("status", "in_force_x_px", "in_force_y_px"), "evaluate_recalibration") for path in trials])
-    accepted = of_all[is_accepted(of_all)]
-    told = "Accepted trials of all drives: how far what is in force is off the true pixels of static points, before and after."
-    before, after = (of.to_numpy() for of in pixels_in_force(accepted))
-    figure = draw.before_and_after(before, after, (accepted["status"] == "ok").to_numpy(), "mean distance [px]")
+    asked = ("status", "all_x_px", "all_y_px", "in_force_x_px", "in_force_y_px", "mounting_px", "in_force_mounting_px")
+    of_all = pd.concat([read_csv(path, asked, "evaluate_recalibration") for path in trials])
+    accepted, shown = of_all[is_accepted(of_all)], []
+    is_replaced = (accepted["status"] == "ok").to_numpy()
+    for name, told in _IN_FORCE.items():
+        before, after = (of.to_numpy() for of in pixels_in_force(accepted, name == "mounting"))
+        figure = draw.before_and_after(before, after, is_replaced, "pixels off")
+        shown.append(save_picture(figure, folder, f"in_force_{name}", f"Accepted trials of all drives, before and after: {told}"))
     caption = "mean difference from the true pixels of all static points, calibration by calibration (Fig. 4.12); a gap: refused."
-    shown = [save_picture(figure, folder, "in_force", told)]
     shown += [embed(path, f"{title(Path(path).parent.name)}: {caption}") for path in figures]
     return [Section("recalibrated", "Calibrated again and again", "", shown)]
 

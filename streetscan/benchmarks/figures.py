@@ -524,7 +524,7 @@ def before_and_after(before: np.ndarray, after: np.ndarray, is_replaced: np.ndar
     """Errors of what was in force, against those of what is afterwards, on logarithmic axes; above the dashed line it is worse.
 
     Args:
-        before, after: (T,) errors.
+        before, after: (T,) errors; infinite and zero ones are drawn at the edges, those that are not known are counted alone.
         is_replaced: (T,) bool, where something else is in force afterwards.
         heading: of the axes, with the unit.
     """
@@ -535,8 +535,22 @@ def before_and_after(before: np.ndarray, after: np.ndarray, is_replaced: np.ndar
         "replaced, better": (is_replaced & (after <= before), OURS, "o"),
         "replaced, worse": (is_replaced & (after > before), ALARM, "^"),
     }
+    unknown = is_replaced & np.isnan(before + after)
+    if unknown.any():
+        shown["not known"] = unknown, INK, ","
+    errors = np.concatenate([before, after])
+    errors = errors[np.isfinite(errors) & (errors > 0)]
+    edges = (errors.min() / 1.5, errors.max() * 1.5) if len(errors) else (0.1, 10.0)
     for name, (own, colour, marker) in shown.items():
-        axes.plot(before[own], after[own], marker, color=colour, markersize=4, alpha=0.7, label=f"{name} ({own.sum()})")
+        axes.plot(
+            np.clip(before[own], *edges),
+            np.clip(after[own], *edges),
+            marker,
+            color=colour,
+            markersize=4,
+            alpha=0.7,
+            label=f"{name} ({own.sum()})",
+        )
     axes.set_xscale("log")
     axes.set_yscale("log")
     axes.axline((1, 1), (10, 10), color=INK, linestyle="--", linewidth=0.8)

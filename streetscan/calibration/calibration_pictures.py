@@ -23,7 +23,7 @@ _PALETTE = np.array(
 )
 _SIZE = 1200, 750
 # Stages before the last, by the picture of their projection.
-_OVERLAYS = {"objects_raw": "overlay_raw", "objects": "overlay_before", "curves": "overlay_curves"}
+_OVERLAYS = {"objects_raw": "overlay_raw", "objects": "overlay_before", "place": "overlay_place", "curves": "overlay_curves"}
 # A point of the camera's cloud as near as this to a matched object is drawn in its colour.
 _MATCHED_M = 0.3
 
@@ -36,8 +36,8 @@ def write_pictures(folder: Path, made: KeyframeCalibration, clouds: KeyframeClou
     objects with moving things left in), `aligned_objects.png` (Fig. 4.6e), `aligned_curves.png` (Fig. 4.8: after ICP and T*; lidar orange,
     camera's cloud grey), `aligned.png` (the outcome), `curves.png` (Fig. 4.9), `overlay.png` (Fig. 4.11: points by distance, objects blue)
     and before it `overlay_initial.png` (by the calibration in force), of earlier stages `overlay_raw.png`, `overlay_before.png` (by
-    objects, with and without moving things) and `overlay_curves.png` (after T*); `matched.png` (Figs. 4.7 and
-    4.13: the matched objects of both clouds from above, a colour each, the camera's lighter).
+    objects, with and without moving things), `overlay_place.png` (where ICP begins) and `overlay_curves.png` (after T*); `matched.png`
+    (Figs. 4.7 and 4.13: the matched objects of both clouds from above, a colour each, the camera's lighter).
     """
     pictures = {}
     for name in ("lidar", "sfm"):

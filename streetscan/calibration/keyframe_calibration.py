@@ -578,7 +578,8 @@ def _compare(
 ) -> dict[str, float]:  # fmt: skip
     """What speaks for one transform (4, 4) into the camera over another: distances of the clouds, and of edges (`is_kept` of EdgeCheck).
 
-    Each is measured on the camera's cloud as its own registration has corrected it (`targets`).
+    Each is measured on a cloud of its own (`targets`): that of the camera as its registration has corrected it, or, of a calibration in
+    force, as the new one has. The error is the cloud's, which a right calibration in force must not be blamed for.
 
     Neither may choose what it is measured on: the points are all static ones that one of the two has in view, the planes are sought anew
     under each, and a point without any counts as far as the reach. Of two places that both explain what they see, the one farther ahead

@@ -36,6 +36,7 @@ from streetscan.calibration.keyframes import Keyframe, read_keyframe_lidar
 from streetscan.calibration.linear_projection import linear_of, rigid_of
 from streetscan.calibration.motion import motion_of
 from streetscan.calibration.objects import CloudObjects
+from streetscan.calibration.projection import project_pinhole
 from streetscan.calibration.ways import lidar_way
 from streetscan.extrinsics import extrinsics_at
 from streetscan.frames import LidarFrame
@@ -47,7 +48,7 @@ from streetscan.registration.odometry import FramePose
 TRIAL_COLUMNS = (
     "trial", "keyframe", "lidar_frame", "roll_deg", "pitch_deg", "yaw_deg", "tilt_deg", "status", "x_px", "y_px", "all_x_px",
     "all_y_px", "rotation_deg", "translation_m", "in_force_deg", "in_force_m", "in_force_x_px",
-    "in_force_y_px",
+    "in_force_y_px", "mounting_px", "in_force_mounting_px",
 )  # fmt: skip
 BIN_COLUMNS = ("keyframe", "turn_step_deg", "step_m", "is_found", "rotation_deg", "translation_m")
 # A vote that is farther off is a failed registration.
@@ -56,6 +57,8 @@ _FAILED_M, _FAILED_DEG = 1.0, 3.0
 _STEPS_DEG = {"tilt": 2.5, "yaw": 45.0}
 # Calibrations in force are counted by how far they are turned, degrees.
 _IN_FORCE_DEG = (0.0, 0.1, 0.25, 0.5, 1.0, np.inf)
+# A point farther off in the image, or behind the camera, counts as this far, pixels.
+_FAR_PX = 1000.0
 # Statuses of calibrations that pass all gates but, the second, the last: to be better than the one in force.
 _PASSING = ("ok", "not_better")
 
@@ -149,7 +152,8 @@ def score_trial(
     trial: Trial, lidar_frame: int, turned: KeyframeClouds, made: KeyframeCalibration, truth: TruePixels, T_camera_lidar: np.ndarray
 ) -> dict:
     """A row of TRIAL_COLUMNS: mean absolute errors of the feature points' and of all static points' pixels, and those of the transform;
-    the same of the calibration in force, under which points are freed of the vehicle's motion and stamps are taken as they are.
+    the same of the calibration in force, under which points are freed of the vehicle's motion and stamps are taken as they are; and, of
+    both, how far static points fall from where the true mounting has them (`mounting_px`).
 
     Args:
         trial, lidar_frame, turned: what was calibrated.
@@ -160,14 +164,17 @@ def score_trial(
     roll, pitch, yaw = trial.rpy_deg
     row = dict.fromkeys(TRIAL_COLUMNS, np.nan) | {"trial": trial.number, "keyframe": f"{trial.keyframe:02d}", "lidar_frame": lidar_frame}
     row |= {"roll_deg": roll, "pitch_deg": pitch, "yaw_deg": yaw, "tilt_deg": trial.tilt_deg, "status": made.status}
-    points = apply(trial.T_turned_lidar, truth.points)
+    points, K = apply(trial.T_turned_lidar, truth.points), turned.view.K
     if made.projection is not None:
         errors = pixel_errors(made.projection, points, truth.pixels)
         row |= _pixel_means("", errors[truth.features]) | _pixel_means("all_", errors)
     if made.T_camera_lidar is not None:
-        row |= _errors_of(made.T_camera_lidar @ trial.T_turned_lidar, T_camera_lidar)
-    of_force = _errors_of(trial.put_in_force(T_camera_lidar), T_camera_lidar)
+        found = made.T_camera_lidar @ trial.T_turned_lidar
+        row |= _errors_of(found, T_camera_lidar) | {"mounting_px": _mounting_px(truth.points, found, T_camera_lidar, K)}
+    in_force = trial.put_in_force(T_camera_lidar)
+    of_force = _errors_of(in_force, T_camera_lidar)
     row |= {"in_force_deg": of_force["rotation_deg"], "in_force_m": of_force["translation_m"]}
+    row |= {"in_force_mounting_px": _mounting_px(truth.points, in_force, T_camera_lidar, K)}
     return row | _pixel_means("in_force_", _errors_in_force(turned, points, truth))
 
 
@@ -177,6 +184,14 @@ def _errors_in_force(turned: KeyframeClouds, points: np.ndarray, truth: TruePixe
     if motion is not None:
         points, T = motion.deskew(points, truth.time_offset_s), T @ invert(motion.at([motion.image_s])[0])
     return pixel_errors(linear_of(T, turned.view.K), points, truth.pixels)
+
+
+def _mounting_px(points: np.ndarray, found: np.ndarray, true: np.ndarray, K: np.ndarray) -> float:
+    """Mean distance in the image between points (N, 3) under two transforms into the camera, at most `_FAR_PX` of each."""
+    if len(points) == 0:
+        return float("nan")
+    off = np.linalg.norm(project_pinhole(points, K, found) - project_pinhole(points, K, true), axis=1)
+    return float(np.fmin(off, _FAR_PX).mean())
 
 
 def _pixel_means(prefix: str, errors: np.ndarray) -> dict[str, float]:
@@ -286,8 +301,8 @@ def summarize_trials(trials: pd.DataFrame, bins: pd.DataFrame) -> pd.DataFrame:
         over accepted trials the least, mean and largest error of all static points in x and y; the shares accepted, right (accepted, and
         not `is_wrong`) and ok but wrong, of all trials, and the first two by tilt and by yaw; for each size of the bins the share of
         failed registrations and the mean errors of the others. Accepted: by all gates but the last, to be better than what is in force.
-        By how far that is turned, of accepted trials: the share that replaces it, the share that does and is farther off the true pixels,
-        and how far what is in force is off them, before and after (`pixels_in_force`).
+        By how far that is turned, of accepted trials: the share that replaces it, the share that does and is farther off, and how far what
+        is in force is off before and after, on the frame's true pixels and as mounted (`pixels_in_force`).
     """
     is_ok = is_accepted(trials)
     # What truth tells nothing of is not called right.
@@ -316,12 +331,20 @@ def is_accepted(trials: pd.DataFrame) -> pd.Series:
     return trials["status"].isin(_PASSING)
 
 
-def pixels_in_force(accepted: pd.DataFrame) -> tuple[pd.Series, pd.Series]:
-    """(N,) pixels that what is in force is off the true ones, before and after accepted trials: the mean errors of all static points in x
-    and y, squared, added, and the root.
+def pixels_in_force(accepted: pd.DataFrame, as_mounted: bool) -> tuple[pd.Series, pd.Series]:
+    """(N,) pixels that what is in force is off, before and after accepted trials.
+
+    Args:
+        accepted: trials.
+        as_mounted: mean distances from where the true mounting has static points. Else the mean errors of all static points of the trial's
+            own frame from the true pixels in x and y, squared, added, and the root; there what is new has the error of the clocks in it,
+            which in a turn moves pixels, and what was in force has not.
     """
-    off = {prefix: np.hypot(*(accepted[f"{prefix}_{axis}_px"].astype(float) for axis in "xy")) for prefix in ("all", "in_force")}
-    return off["in_force"], off["in_force"].where(accepted["status"] != "ok", off["all"])
+    if as_mounted:
+        before, new = accepted["in_force_mounting_px"].astype(float), accepted["mounting_px"].astype(float)
+    else:
+        before, new = (np.hypot(*(accepted[f"{of}_{axis}_px"].astype(float) for axis in "xy")) for of in ("in_force", "all"))
+    return before, before.where(accepted["status"] != "ok", new)
 
 
 def _by_error_in_force(accepted: pd.DataFrame) -> Iterator[tuple[str, pd.DataFrame]]:
@@ -333,10 +356,13 @@ def _by_error_in_force(accepted: pd.DataFrame) -> Iterator[tuple[str, pd.DataFra
 
 
 def _replacements(name: str, accepted: pd.DataFrame) -> list[tuple]:
-    before, after = pixels_in_force(accepted)
     is_replaced = accepted["status"] == "ok"
-    shares = [(name, metric, _per_cent(flags), "%", len(flags)) for metric, flags in (("replaced", is_replaced), ("worse", after > before))]
-    return shares + [(name, metric, float(px.mean()), "px", len(px)) for metric, px in (("before", before), ("after", after))]
+    rows = [(name, "replaced", _per_cent(is_replaced), "%", len(accepted))]
+    for as_mounted, of in ((False, ""), (True, "mounting_")):
+        before, after = pixels_in_force(accepted, as_mounted)
+        rows.append((name, f"{of}worse", _per_cent(after > before), "%", len(accepted)))
+        rows += [(name, f"{of}{when}", float(px.mean()), "px", len(accepted)) for when, px in (("before", before), ("after", after))]
+    return rows
 
 
 def _shares(name: str, is_ok: pd.Series, is_right: pd.Series) -> list[tuple]:

@@ -25,7 +25,7 @@ def test_the_pictures_are_drawn(calibrated):
     names = {path.stem for path in calibrated["pictures_folder"].glob("*.png")}
     assert names == {
         "lidar_objects", "sfm_objects", "lidar_shapes", "sfm_shapes", "aligned_objects", "aligned", "overlay", "overlay_before", "curves",
-        "overlay_curves", "matched", "lidar_pillars", "sfm_pillars", "aligned_start", "aligned_curves",
+        "overlay_place", "overlay_curves", "matched", "lidar_pillars", "sfm_pillars", "aligned_start", "aligned_curves",
     }  # fmt: skip
 
 

@@ -27,6 +27,8 @@ def test_turned_lidars_are_calibrated_alike(tmp_path, toy_inputs, detectors):
     np.testing.assert_allclose(trials["in_force_m"] / trials["in_force_deg"], 0.1, rtol=0.1)
     assert trials["in_force_deg"].between(0, 0.02, inclusive="neither").all()
     assert (trials[["in_force_x_px", "in_force_y_px"]] < 1.5).all().all()
+    assert (trials["in_force_mounting_px"] < 0.5).all()
+    assert trials["mounting_px"].between(0.01, 1.5).all()
     assert trials["yaw_deg"].abs().max() > 20
     assert (trials["tilt_deg"] <= 3).all()
     assert (trials[["x_px", "y_px"]] < 1.5).all().all()
@@ -41,5 +43,5 @@ def test_turned_lidars_are_calibrated_alike(tmp_path, toy_inputs, detectors):
     assert {"my_drive", "my_drive/bins 0.25 deg 0.2 m"} <= set(rows.row)
     assert (folder / "trials.png").stat().st_size > 5000
     (section,) = draw_recalibrations(tmp_path / "figures", [outputs["figure"]], [outputs["trials"]])
-    assert len(section.figures) == 2
-    assert {p.name for p in (tmp_path / "figures").iterdir()} == {"in_force.svg", "in_force.pdf"}
+    assert len(section.figures) == 3
+    assert {p.name for p in (tmp_path / "figures").glob("*.svg")} == {"in_force_pixels.svg", "in_force_mounting.svg"}

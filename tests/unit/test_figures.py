@@ -104,9 +104,19 @@ def test_bars_start_at_zero_and_dash_what_is_undefined():
 
 
 def test_what_is_worse_afterwards_is_counted():
-    before, after, is_replaced = np.array([1.0, 2.0, 3.0, 4.0]), np.array([1.0, 2.5, 1.0, 2.0]), np.array([False, True, True, True])
-    figure = figures.before_and_after(before, after, is_replaced, "distance [px]")
-    assert [t.get_text() for t in figure.legends[0].get_texts()] == ["kept (1)", "replaced, better (2)", "replaced, worse (1)"]
+    before, after = np.array([0.0, 2.0, 3.0, 4.0, 5.0, 6.0]), np.array([0.0, 2.5, 1.0, 2.0, np.inf, NAN])
+    figure = figures.before_and_after(before, after, np.array([False, True, True, True, True, True]), "distance [px]")
+    assert texts_of_legend(figure) == ["kept (1)", "replaced, better (2)", "replaced, worse (2)", "not known (1)"]
+    # What is beyond logarithmic axes lies at their edges.
+    assert figure.axes[0].lines[2].get_ydata().tolist() == [2.5, 9.0]
+    nothing = np.empty(0)
+    assert texts_of_legend(figures.before_and_after(nothing, nothing, nothing.astype(bool), "")) == [
+        "kept (0)", "replaced, better (0)", "replaced, worse (0)",
+    ]  # fmt: skip
+
+
+def texts_of_legend(figure):
+    return [t.get_text() for t in figure.legends[0].get_texts()]
 
 
 def test_series_have_colours_of_their_own():

@@ -68,7 +68,7 @@ def test_what_is_in_force_afterwards_is_counted_by_how_wrong_it_was():
         ("no_match", 0.3, 9.0, np.nan),
     ]
     trials = pd.DataFrame(rows, columns=["status", "in_force_deg", "in_force_x_px", "all_x_px"]).reindex(columns=TRIAL_COLUMNS)
-    trials = trials.assign(tilt_deg=0.0, yaw_deg=0.0, in_force_y_px=0.0, all_y_px=0.0)
+    trials = trials.assign(tilt_deg=0.0, yaw_deg=0.0, in_force_y_px=0.0, all_y_px=0.0, in_force_mounting_px=5.0, mounting_px=6.0)
     scores = summarize_trials(trials, pd.DataFrame(columns=BIN_COLUMNS)).set_index(["set", "metric"])
     small, large, every = "in force 0 to 0.1 deg", "in force from 1 deg", "in force"
     assert scores.loc[("", "accepted"), "value"] == 80
@@ -79,4 +79,7 @@ def test_what_is_in_force_afterwards_is_counted_by_how_wrong_it_was():
     assert scores.loc[(large, "before"), "value"] == 25
     assert scores.loc[(large, "after"), "value"] == 11
     assert scores.loc[(every, "replaced"), ["value", "n"]].tolist() == [50, 4]
+    # As mounted each new one is worse.
+    assert scores.loc[(every, "mounting_worse"), "value"] == 50
+    assert scores.loc[(every, "mounting_after"), "value"] == 5.5
     assert "in force 0.25 to 0.5 deg" not in scores.index.get_level_values("set")
