@@ -68,7 +68,7 @@ def find_failures(grid: VoxelGrid, predicted: np.ndarray, true: np.ndarray, n: i
 
 
 def _explain(grid: VoxelGrid, true: np.ndarray, rows: np.ndarray, of: int, called: int) -> str:
-    """What sets a failure apart: the class it is taken for is all around it, or its density is that class' rather than its own."""
+    """What sets a failure apart: the class it is taken for is in the box around it, or its density is nearer that class' than its own."""
     name, other = CLASSES[of].title, CLASSES[called].title
     reach = round(_AROUND_M / grid.size_m)
     low, high = grid.keys[rows].min(axis=0) - reach, grid.keys[rows].max(axis=0) + reach
@@ -79,10 +79,11 @@ def _explain(grid: VoxelGrid, true: np.ndarray, rows: np.ndarray, of: int, calle
     density = float(np.median(grid.counts[rows]))
     if share >= _MIXED:
         return f"{100 * share:.0f} % of what stands around it is {other}"
-    if density * _TIMES_DENSER <= of_class:
-        return f"{density:.0f} points a voxel, where {name} has {of_class:.0f} and {other} {of_other:.0f}"
-    if density >= _TIMES_DENSER * of_class:
-        return f"{density:.0f} points a voxel, where {name} has {of_class:.0f} and {other} {of_other:.0f}"
+    # As factors; of a class without a voxel here it is not known.
+    from_class, from_other = (abs(np.log(density / of)) for of in (of_class, of_other))
+    if from_class >= np.log(_TIMES_DENSER) and not from_other >= from_class:
+        beside = "" if np.isnan(of_other) else f" and {other} {of_other:.0f}"
+        return f"{density:.0f} points a voxel, where {name} has {of_class:.0f}{beside}"
     return f"neither density nor surroundings set it apart ({100 * share:.0f} % {other} around it)"
 
 

@@ -26,6 +26,8 @@ logger = logging.getLogger(__name__)
 
 # Voxels evaluated together: bounds the memory (about 20 KB a voxel where voxels lie loosely, as in a tree).
 _MAX_WANTED = 32_768
+# Largest extent of voxels evaluated together, in voxels: a stray point far above the street would make their space a tower.
+_MAX_EXTENT = 512
 
 
 class VoxelLabels(NamedTuple):
@@ -91,9 +93,11 @@ def label_voxels(
             mean. ASSUME: a street has no preferred direction, as the turned samples of training say (N-021).
         smoothing: how far shares spread over the surface; voxels of other groups that they reach are evaluated, too.
     Raises:
-        BadInput: voxels of another size than the network was trained on, or a height is unknown.
+        BadInput: voxels of another size than the network was trained on, a height is unknown, or another number of turns.
     """
     settings = network.settings
+    if n_turns not in (1, 2, 4):
+        raise BadInput("label_map.n_turns", str(n_turns), "give 1, 2 or 4 quarter turns")
     if not np.isclose(grid.size_m, settings.size_m, rtol=1e-9):
         found = f"voxels of {grid.size_m} m for weights made with {settings.size_m} m"
         raise BadInput(
@@ -166,13 +170,15 @@ def _rows_near(grid: VoxelGrid, rows: np.ndarray, radius: int) -> np.ndarray:
 
 
 def _split(keys: np.ndarray, rows: np.ndarray) -> Iterator[np.ndarray]:
-    """Halve rows of voxels along their longest extent until each part is small enough to evaluate at once."""
-    if len(rows) <= _MAX_WANTED:
+    """Halve rows of voxels along their longest extent until each part is small enough to evaluate at once: its space, then its number."""
+    low, high = keys[rows].min(axis=0), keys[rows].max(axis=0)
+    axis = int(np.argmax(high - low))
+    along, is_wide = keys[rows, axis], high[axis] - low[axis] >= _MAX_EXTENT
+    if len(rows) <= _MAX_WANTED and not is_wide:
         yield rows
         return
-    extent = keys[rows].max(axis=0) - keys[rows].min(axis=0)
-    order = np.argsort(keys[rows, int(np.argmax(extent))], kind="stable")
-    half = len(rows) // 2
+    order = np.argsort(along, kind="stable")
+    half = int(np.count_nonzero(along <= (int(low[axis]) + int(high[axis])) // 2)) if is_wide else len(rows) // 2
     for part in (order[:half], order[half:]):
         yield from _split(keys, rows[part])
 

@@ -59,6 +59,19 @@ def test_reasons_say_what_sets_a_failure_apart(scene):
     assert reasons[CAR].startswith("30 points a voxel, where Car has 3")
 
 
+@pytest.mark.parametrize(("of_phantoms", "is_reason"), [(20, True), (1, False)])
+def test_a_density_farther_from_the_called_class_is_no_reason(scene, of_phantoms, is_reason):
+    """Of 30 points a voxel: phantoms of 20 explain what is called one, phantoms of 1 are farther off than cars of 3."""
+    grid, true = scene
+    predicted = true.copy()
+    predicted[(true == CAR) & (grid.keys[:, 0] >= 100)] = PHANTOM
+    post = true == COLUMN
+    true[post] = predicted[post] = PHANTOM
+    grid.counts[post] = of_phantoms
+    (failure,) = find_failures(grid, predicted, true, 1)
+    assert failure.reason.startswith("30 points a voxel, where Car has 3 and Phantom 20" if is_reason else "neither density")
+
+
 def test_failures_are_described_and_drawn(scene):
     grid, true = scene
     predicted = np.where((true == CAR) & (grid.keys[:, 0] < 100), PHANTOM, true)

@@ -92,6 +92,20 @@ def test_splitting_a_tile_changes_no_label(grid, monkeypatch):
     np.testing.assert_allclose(split[2], whole[2], atol=1e-5)
 
 
+def test_a_stray_point_far_above_makes_no_tower():
+    """What is evaluated together stays within a box, however far apart voxels lie."""
+    keys = np.array([[0, 0, 0], [3, 0, 1], [5, 5, 100_000], [0, 700, 2], [0, 705, 3]])
+    parts = list(inference._split(keys, np.arange(5)))
+    assert sorted(np.concatenate(parts).tolist()) == [0, 1, 2, 3, 4]
+    assert [sorted(part.tolist()) for part in parts if 0 in part] == [[0, 1]]
+    assert all((np.ptp(keys[part], axis=0) < inference._MAX_EXTENT).all() for part in parts)
+
+
+def test_only_quarter_turns_are_looked_at(grid):
+    with pytest.raises(BadInput, match="1, 2 or 4"):
+        label_voxels(NETWORK, grid, 20.0, n_turns=3)
+
+
 def test_tiles_are_squares_and_groups_are_even(grid):
     tile, group = assign_tiles(grid, 2.0, 4)
     for i in np.unique(tile):
