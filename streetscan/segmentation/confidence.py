@@ -1,10 +1,10 @@
 """Confidence that means what it says, and labels at the shares in which classes occur.
 
 A network trained on even classes is as sure of itself as its training made it. Dividing its logits by one temperature, fitted on the
-validation samples, makes its confidence the share of right labels and changes no label of one look at one voxel; turns and smoothing average
-what it makes. Where a map is scored as its classes occur,
-the logarithm of how much more often a class occurs than it was trained on is added: what is rare needs more evidence. Both end in the
-weights of the output layer, so that whatever reads the network is calibrated.
+validation samples, makes its confidence the share of right labels and changes no label of one look at one voxel; turns and smoothing
+average what comes of it. Where a map is scored as its classes occur, the logarithm of how much more often a class occurs than it was
+trained on is added: what is rare needs more evidence. Both end in the weights of the output layer, so that whatever reads the network is
+calibrated.
 
 Source: ours (the thesis has no confidence); Guo et al. (2017), 4.2; Saerens et al. (2002), Eq. 2.4, for the shares.
 """
