@@ -35,6 +35,7 @@ def test_turned_lidars_are_calibrated_alike(tmp_path, toy_inputs, detectors):
     assert (trials["rotation_deg"] < 0.2).all()
     assert (trials["translation_m"] < 0.05).all()
     bins = pd.read_csv(outputs["sizes"])
+    assert bins["is_found"].all()
     assert bins["turn_step_deg"].tolist() == [0.25, 1.0]
     rows = pd.DataFrame(recalibration_scores([outputs["scores"]]))
     beside = rows[rows.table == "nagy_text"].set_index(["row", "column"])
