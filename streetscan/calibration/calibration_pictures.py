@@ -49,8 +49,7 @@ def write_pictures(folder: Path, made: KeyframeCalibration, clouds: KeyframeClou
     if made.lidar is not None and made.sfm is not None:
         pictures["aligned_start"] = _draw_aligned(made.lidar, made.sfm, invert(made.sfm.T_level_cloud) @ made.lidar.T_level_cloud)
     if clouds.T_initial is not None:
-        before = clouds.T_initial if clouds.motion is None else clouds.T_initial @ invert(clouds.motion.at([clouds.motion.image_s])[0])
-        pictures["overlay_initial"] = _overlay(made, clouds, linear_of(before, clouds.view.K))
+        pictures["overlay_initial"] = _overlay(made, clouds, linear_of(clouds.T_stamp_in_force, clouds.view.K))
     if made.raw is not None:
         pictures["aligned_raw"] = _draw_aligned(*made.raw)
     if made.voted:

@@ -132,6 +132,11 @@ class KeyframeClouds:
     way: LidarWay | None = None
     shots: tuple[Shot, ...] = ()
 
+    @property
+    def T_stamp_in_force(self) -> np.ndarray:
+        """(4, 4) what `T_initial`, which must be given, makes of points freed of motion: from the lidar at its stamp to the image's."""
+        return self.T_initial if self.motion is None else self.T_initial @ invert(self.motion.at([self.motion.image_s])[0])
+
 
 @dataclass
 class KeyframeCalibration:
@@ -559,7 +564,7 @@ def _measure(
 
 def _compare_in_force(c: KeyframeClouds, s: CalibrationSettings, scene: _Scene, made: KeyframeCalibration) -> None:
     """The last gate, of the place that was chosen: the calibration in force stays unless the new one is better by more than noise."""
-    before = c.T_initial if c.motion is None else c.T_initial @ invert(c.motion.at([c.motion.image_s])[0])
+    before = c.T_stamp_in_force
     check, cloud = scene.raw_check if s.final == "curves" else scene.check, scene.target.straightened(made.bend_rad)
     made.figures["edge_before_px"] = check.distance_px(linear_of(before, c.view.K))
     made.figures |= _compare(c, s, scene, 1 / made.figures["scale"], (before, made.T_camera_stamp), (cloud, cloud))

@@ -180,10 +180,9 @@ def score_trial(
 
 def _errors_in_force(turned: KeyframeClouds, points: np.ndarray, truth: TruePixels) -> np.ndarray:
     """(N, 2) absolute errors in pixels of points under the calibration in force."""
-    T, motion = turned.T_initial, turned.motion
-    if motion is not None:
-        points, T = motion.deskew(points, truth.time_offset_s), T @ invert(motion.at([motion.image_s])[0])
-    return pixel_errors(linear_of(T, turned.view.K), points, truth.pixels)
+    if turned.motion is not None:
+        points = turned.motion.deskew(points, truth.time_offset_s)
+    return pixel_errors(linear_of(turned.T_stamp_in_force, turned.view.K), points, truth.pixels)
 
 
 def _mounting_px(points: np.ndarray, found: np.ndarray, true: np.ndarray, K: np.ndarray) -> float:
